@@ -1,0 +1,26 @@
+"""Errors a user can mend. The command line prints them as one line and exits with code 2."""
+
+__all__ = ["CalibrationError", "DataError", "LabelgenError", "OutputError", "RectificationError"]
+
+
+class LabelgenError(Exception):
+    """Base of every error caused by input, settings or the machine rather than by a bug.
+
+    The message says what was wrong, where, and how to mend it, in one line.
+    """
+
+
+class CalibrationError(LabelgenError):
+    """The given vanishing points, principal point or scale describe no camera above a road."""
+
+
+class RectificationError(LabelgenError):
+    """The camera and road mask admit no usable rectification."""
+
+
+class DataError(LabelgenError):
+    """A file or data set is missing, damaged, or not of the expected layout."""
+
+
+class OutputError(LabelgenError):
+    """The output cannot be written, or would overwrite something."""

@@ -1,0 +1,49 @@
+"""Cameras, rectification, the label codec and labels from masks. Pure functions of arrays: no files but calibrations.
+
+Convention, throughout:
+    float64; x right, y down; pixels are areas, so pixel (column j, row i) covers [j, j + 1) x [i, i + 1).
+    Sizes are (width, height), boxes are (x0, y0, x1, y1), images are (height, width[, channels]).
+    VP1: direction of travel; VP2: across the road; VP3: vertical; VPU: the one a rectification leaves finite.
+"""
+
+from labelgen.geometry.box3d import (
+    EncodedBoxes,
+    decode_boxes,
+    encode_boxes,
+    front_bottom_midpoints,
+    reorder_vertices,
+)
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.cuboid import cuboid_sizes, road_cuboids
+from labelgen.geometry.hull import RoadMask
+from labelgen.geometry.mask_label import (
+    MaskLabels,
+    Outline,
+    Rule,
+    label_outlines,
+    mask_outline,
+    rectified_outline,
+)
+from labelgen.geometry.rectification import Pair, Rectification, parse_size, rectify_windows
+
+__all__ = [
+    "Camera",
+    "EncodedBoxes",
+    "MaskLabels",
+    "Outline",
+    "Pair",
+    "Rectification",
+    "RoadMask",
+    "Rule",
+    "cuboid_sizes",
+    "decode_boxes",
+    "encode_boxes",
+    "front_bottom_midpoints",
+    "label_outlines",
+    "mask_outline",
+    "parse_size",
+    "rectified_outline",
+    "rectify_windows",
+    "reorder_vertices",
+    "road_cuboids",
+]

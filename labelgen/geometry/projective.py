@@ -1,0 +1,46 @@
+"""Homogeneous points, lines and homographies, batched over leading axes. float64 throughout."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Array", "apply_homography", "bounding_boxes", "homogeneous", "translation"]
+
+Array = NDArray[np.float64]
+
+
+def homogeneous(points: ArrayLike) -> Array:
+    """Append a 1 to the last axis: (..., D) -> (..., D + 1)."""
+    pts = np.asarray(points, dtype=np.float64)
+    return np.concatenate([pts, np.ones((*pts.shape[:-1], 1))], axis=-1)
+
+
+def translation(dx: float, dy: float) -> Array:
+    """3x3 matrix that moves points by (dx, dy)."""
+    return np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
+
+
+def apply_homography(matrix: Array, points: ArrayLike, *, behind: str = "nan") -> Array:
+    """Map points by homographies.
+
+    Args:
+        matrix: (..., 3, 3), signed so that the visible side has positive third coordinate.
+        points: (..., K, 2); leading axes broadcast against those of `matrix`.
+        behind: "nan" turns points on or beyond the line that goes to infinity into NaN; "keep" maps
+            them all the same, which is what a vanishing point needs.
+
+    Returns:
+        (..., K, 2).
+    """
+    mapped = homogeneous(points) @ np.swapaxes(matrix, -1, -2)
+    w = mapped[..., 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out: Array = mapped[..., :2] / (w if behind == "keep" else np.where(w > 0, w, np.nan))
+    return out
+
+
+def bounding_boxes(points: ArrayLike) -> Array:
+    """Axis-aligned boxes (..., 4) as x0, y0, x1, y1 around point sets (..., K, 2)."""
+    pts = np.asarray(points, dtype=np.float64)
+    return np.concatenate([pts.min(axis=-2), pts.max(axis=-2)], axis=-1)

@@ -1,0 +1,374 @@
+"""Rectification: the homography that makes two of the road's directions axis-parallel.
+
+Convention: pixels are areas (see `camera`); matrices are float64, act on column vectors (x, y, 1) and map
+frame pixels to rectified pixels. They are signed so that the third coordinate is positive on the road.
+
+Source: Kocur & Ftacnik 2020, section 3.2 (mask and coverage rule, with the frame as what must be covered);
+Kocur 2019 (whole frame); both keep the vertical direction of traffic.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+
+from labelgen.errors import LabelgenError, RectificationError
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.hull import RoadMask
+from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, translation
+
+__all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "parse_size", "rectify_windows"]
+
+CROP_STEP = 5
+"""Rows cropped from the road mask's bottom per step of the coverage rule."""
+MIN_COVERAGE = 0.8
+"""Share of the rectified image that the coverage rule asks for."""
+
+
+class Pair(StrEnum):
+    """The two vanishing points whose directions become axis-parallel."""
+
+    VP2_VP3 = "VP2-VP3"
+    VP1_VP2 = "VP1-VP2"
+
+    @classmethod
+    def parse(cls, text: str) -> Pair:
+        """Pair from its name, in any case; LabelgenError names the known ones."""
+        for pair in cls:
+            if pair.value == text.strip().upper():
+                return pair
+        raise LabelgenError(f"--pair {text}: unknown pair; use one of {', '.join(p.value for p in cls)}")
+
+    @property
+    def vertical(self) -> int:
+        """Number of the vanishing point whose lines become vertical."""
+        return 3 if self is Pair.VP2_VP3 else 1
+
+    @property
+    def unused(self) -> int:
+        """Number of VPU, the vanishing point that stays finite."""
+        return 1 if self is Pair.VP2_VP3 else 3
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """(width, height) px from "640x360"; LabelgenError for anything else."""
+    match = re.fullmatch(r"\s*(\d{1,5})\s*[xX×]\s*(\d{1,5})\s*", text)
+    size = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not all(16 <= n <= 8192 for n in size):
+        raise LabelgenError(f"--size {text}: unknown size; write WIDTHxHEIGHT in px, 16 to 8192, as 640x360")
+    return size
+
+
+def rectify_windows(
+    vps: ArrayLike, hulls: ArrayLike, pair: Pair, size_wh: tuple[int, int]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Rectifying homographies of N convex regions at once; the one formula behind every variant.
+
+    The region's bounding tangents through the two vanishing points become the borders of the target, with
+    the side that is lower in the frame at the bottom and without a reflection.
+
+    Args:
+        vps: (N, 3, 2) or (3, 2) px, VP1, VP2, VP3.
+        hulls: (N, K, 2) px, points whose convex hull is the region.
+        pair: which vanishing points go to infinity.
+        size_wh: target size, px.
+
+    Returns:
+        matrices (N, 3, 3), and valid (N,): False where the line joining the two vanishing points crosses
+        the region, or the region has no area; such matrices are NaN.
+    """
+    hulls = np.asarray(hulls, dtype=np.float64)
+    vps = np.broadcast_to(np.asarray(vps, dtype=np.float64), (len(hulls), 3, 2))
+    # Work in coordinates of order one: vanishing points reach 1e5 px.
+    boxes = bounding_boxes(hulls)
+    centre = (boxes[:, :2] + boxes[:, 2:]) / 2
+    unit = np.maximum((boxes[:, 2:] - boxes[:, :2]).max(axis=1), 1e-9)
+    points = np.concatenate([(hulls - centre[:, None]) / unit[:, None, None], np.ones((*hulls.shape[:2], 1))], -1)
+    vps_h = np.concatenate([(vps - centre[:, None]) / unit[:, None, None], np.ones((*vps.shape[:2], 1))], -1)
+    vps_h /= np.linalg.norm(vps_h, axis=-1, keepdims=True)
+
+    horizontal, vertical = vps_h[:, 1], vps_h[:, pair.vertical - 1]
+    inner = points.mean(axis=1)
+    to_infinity = np.cross(horizontal, vertical)
+    basis = np.stack([np.cross(vertical, inner), np.cross(horizontal, inner), to_infinity], axis=1)
+    norm = np.linalg.norm(basis, axis=-1, keepdims=True)
+    basis /= np.where(norm > 0, norm, 1)
+    basis *= np.sign(np.einsum("ni,ni->n", basis[:, 2], inner))[:, None, None]
+    mapped = points @ np.swapaxes(basis, -1, -2)
+    w = mapped[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        flat = mapped[..., :2] / w[..., None]
+    # Directions: no reflection (positive determinant), and what moves down the frame along lines through the
+    # vertical vanishing point moves down the output.
+    along = vertical[:, :2] * inner[:, 2:] - inner[:, :2] * vertical[:, 2:]
+    along *= np.where(along[:, 1:] < 0, -1.0, 1.0)
+    up = np.where(np.einsum("ni,ni->n", basis[:, 1, :2], along) >= 0, 1.0, -1.0)
+    with np.errstate(invalid="ignore"):
+        right = up * np.where(np.linalg.det(basis) >= 0, 1.0, -1.0)
+    basis[:, 0] *= right[:, None]
+    basis[:, 1] *= up[:, None]
+    flat = flat * np.stack([right, up], axis=1)[:, None]
+    low, high = flat.min(axis=1), flat.max(axis=1)
+    extent = high - low
+    valid = (w > 1e-9).all(axis=1) & (extent > 1e-12).all(axis=1) & np.isfinite(extent).all(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.asarray(size_wh, dtype=np.float64) / extent
+        to_target = np.zeros((len(points), 3, 3))
+        to_target[:, 0, 0], to_target[:, 1, 1], to_target[:, 2, 2] = gain[:, 0], gain[:, 1], 1.0
+        to_target[:, :2, 2] = -low * gain
+        to_unit = np.zeros((len(points), 3, 3))
+        to_unit[:, 0, 0] = to_unit[:, 1, 1] = 1 / unit
+        to_unit[:, :2, 2] = -centre / unit[:, None]
+        to_unit[:, 2, 2] = 1.0
+        matrices = to_target @ basis @ to_unit
+        matrices /= np.linalg.norm(matrices, axis=(-2, -1), keepdims=True)
+    matrices[~valid] = np.nan
+    return matrices, valid
+
+
+@dataclass(frozen=True, eq=False)
+class Rectification:
+    """One homography, with everything needed to use it in both directions.
+
+    Args:
+        pair: the vanishing points made axis-parallel.
+        size_wh: size of the rectified image, px.
+        matrix: (3, 3) frame px -> rectified px.
+        vpu: (2,) the unused vanishing point in rectified px.
+        frame_wh: size of the frame, px.
+        frame_coverage: share of the rectified image that lies inside the frame.
+        road_area: share of the rectified image that is road (of the uncropped mask); NaN without a mask.
+        crop_steps: how many steps the coverage rule cropped from the mask's bottom.
+
+    Raises:
+        RectificationError: a matrix or VPU that is not finite or not invertible.
+    """
+
+    pair: Pair
+    size_wh: tuple[int, int]
+    matrix: Array
+    vpu: Array
+    frame_wh: tuple[int, int] | None = None
+    frame_coverage: float = math.nan
+    road_area: float = math.nan
+    crop_steps: int = 0
+    inverse: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        matrix, vpu = np.array(self.matrix, dtype=np.float64), np.array(self.vpu, dtype=np.float64)
+        if matrix.shape != (3, 3) or vpu.shape != (2,) or not (np.isfinite(matrix).all() and np.isfinite(vpu).all()):
+            raise RectificationError(
+                f"rectification: expected a finite 3x3 matrix and VPU, got {matrix.tolist()}, {vpu.tolist()}"
+            )
+        try:
+            inverse = np.linalg.inv(matrix)
+        except np.linalg.LinAlgError:
+            raise RectificationError("rectification: the matrix is singular") from None
+        centre = inverse @ np.array([self.size_wh[0] / 2, self.size_wh[1] / 2, 1.0])
+        inverse *= np.sign(centre[2]) or 1.0
+        for array in (matrix, vpu, inverse):
+            array.setflags(write=False)
+        for key, value in {"matrix": matrix, "vpu": vpu, "inverse": inverse}.items():
+            object.__setattr__(self, key, value)
+
+    # -- constructors -------------------------------------------------------------------------------
+
+    @classmethod
+    def from_road_mask(
+        cls,
+        camera: Camera,
+        mask: RoadMask | NDArray[Any],
+        pair: Pair,
+        size_wh: tuple[int, int],
+        *,
+        cover: Literal["frame", "mask"] = "frame",
+        min_coverage: float = MIN_COVERAGE,
+        crop_step: int = CROP_STEP,
+    ) -> Rectification:
+        """Rectification around a road mask (paper section 3.2).
+
+        The mask is cropped from the bottom, `crop_step` rows at a time, until `min_coverage` of the output
+        lies inside the camera frame (`cover="frame"`, what the published numbers used) or inside the mask
+        itself (`cover="mask"`, what the paper's text says; most VP2-VP3 scenes never reach it).
+
+        Raises:
+            RectificationError: the mask is empty or of another size than the frame, a vanishing point lies
+                inside it, the line joining the two crosses it, or it is cropped away.
+        """
+        road = mask if isinstance(mask, RoadMask) else RoadMask(mask)
+        if camera.image_wh is not None and road.size_wh != tuple(camera.image_wh):
+            raise RectificationError(
+                f"road mask: it is {road.size_wh[0]}x{road.size_wh[1]} px, but the frame is "
+                f"{camera.image_wh[0]}x{camera.image_wh[1]}; give a mask of the frame's size"
+            )
+        _check_vanishing_points_outside(camera, road.hull(), pair, "the road mask")
+        if _line_crosses(camera.vp1, camera.vp2, road.hull()):
+            raise RectificationError(
+                "road mask: the horizon, the line joining VP1 and VP2, crosses the road mask; mark only road below it"
+            )
+        crossed = _line_crosses(camera.vp2, camera.vanishing_point(pair.vertical), road.hull())
+        for step in itertools.count():
+            below = road.bottom - step * crop_step
+            if below <= road.rows[0]:
+                break
+            hull = road.hull(below)
+            if crossed and _line_crosses(camera.vp2, camera.vanishing_point(pair.vertical), hull):
+                continue  # what lies abreast of the camera is cropped like what lies outside the frame
+            rect = cls._from_hull(camera, hull, pair, size_wh, road.size_wh, step)
+            if cover == "frame" and rect.frame_coverage < min_coverage:
+                continue
+            if cover == "mask" and rect.warp_mask(road.cropped(below)).mean() < min_coverage:
+                continue
+            return replace(rect, road_area=float(rect.warp_mask(road.pixels).mean()))
+        reason = f"; the line joining VP2 and VP{pair.vertical} crosses it" if crossed else ""
+        raise RectificationError(
+            f"road mask: cropped away before {min_coverage:.0%} of the {pair} output lay inside the {cover}{reason}; "
+            "mark less of the road near the camera, or ask for less coverage"
+        )
+
+    @classmethod
+    def from_window(cls, camera: Camera, window_xyxy: ArrayLike, pair: Pair, size_wh: tuple[int, int]) -> Rectification:
+        """Rectification of a whole rectangle of the frame, without mask or coverage rule.
+
+        With the whole frame it is the earlier method (rows Previous2D and Previous3D); with a crop's
+        rectangle it is how BoxCars crops are rectified.
+
+        Raises:
+            RectificationError: the line joining the two vanishing points crosses the window.
+        """
+        x0, y0, x1, y1 = (float(v) for v in np.asarray(window_xyxy, dtype=np.float64))
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        _check_vanishing_points_outside(camera, corners, pair, "the window")
+        if _line_crosses(camera.vp2, camera.vanishing_point(pair.vertical), corners):
+            raise RectificationError(
+                f"{pair}: the line joining VP2 and VP{pair.vertical} crosses the window; use a window on one side of it"
+            )
+        frame_wh = (math.ceil(x1), math.ceil(y1)) if camera.image_wh is None else camera.image_wh
+        return cls._from_hull(camera, corners, pair, size_wh, frame_wh, 0)
+
+    @classmethod
+    def _from_hull(
+        cls,
+        camera: Camera,
+        hull: Array,
+        pair: Pair,
+        size_wh: tuple[int, int],
+        frame_wh: tuple[int, int],
+        step: int,
+    ) -> Rectification:
+        vps = np.stack([camera.vp1, camera.vp2, camera.vp3])
+        matrices, valid = rectify_windows(vps, hull[None], pair, size_wh)
+        if not valid[0]:
+            raise RectificationError(
+                f"{pair}: the line joining the two vanishing points crosses the region to rectify, or the region has "
+                "no area; mark only road that lies on one side of it"
+            )
+        vpu = apply_homography(matrices[0], camera.vanishing_point(pair.unused)[None], behind="keep")[0]
+        rect = cls(pair, size_wh, matrices[0], vpu, frame_wh, crop_steps=step)
+        return replace(rect, frame_coverage=rect._coverage_of_frame())
+
+    # -- coverage -----------------------------------------------------------------------------------
+
+    @property
+    def corners_px(self) -> Array:
+        """(4, 2) the rectified image's corners in frame pixels: top left, top right, bottom right, bottom left."""
+        w, h = self.size_wh
+        return self.points_back(np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64))
+
+    def _coverage_of_frame(self) -> float:
+        assert self.frame_wh is not None
+        quad = self.corners_px
+        if not np.isfinite(quad).all():
+            return 0.0
+        inside = shapely.intersection(shapely.Polygon(quad), shapely.box(0, 0, *self.frame_wh))
+        if inside.is_empty or inside.geom_type != "Polygon":
+            return 0.0
+        seen = self.points(shapely.get_coordinates(inside.exterior))
+        area: float = shapely.Polygon(seen).area
+        return area / (self.size_wh[0] * self.size_wh[1])
+
+    # -- warping, both ways -------------------------------------------------------------------------
+
+    def points(self, points_px: ArrayLike) -> Array:
+        """Frame px (..., 2) -> rectified px; NaN beyond the line that goes to infinity."""
+        return _map(self.matrix, points_px)
+
+    def points_back(self, points_rectified: ArrayLike) -> Array:
+        """Rectified px (..., 2) -> frame px."""
+        return _map(self.inverse, points_rectified)
+
+    def boxes(self, boxes_xyxy: ArrayLike) -> Array:
+        """Frame boxes (N, 4) -> the axis-aligned boxes (N, 4) around them in the rectified image."""
+        return bounding_boxes(self.points(_box_corners(boxes_xyxy)))
+
+    def boxes_back(self, boxes_xyxy: ArrayLike) -> Array:
+        """Rectified boxes (N, 4) -> the axis-aligned boxes (N, 4) around them in the frame."""
+        return bounding_boxes(self.points_back(_box_corners(boxes_xyxy)))
+
+    def pixel_matrix(self, origin_px: tuple[float, float] = (0.0, 0.0)) -> Array:
+        """The matrix for OpenCV, whose coordinates name pixel centres, for an image that starts at `origin_px`."""
+        x, y = origin_px
+        return translation(-0.5, -0.5) @ self.matrix @ translation(x + 0.5, y + 0.5)
+
+    def warp_image(
+        self,
+        image: NDArray[Any],
+        *,
+        origin_px: tuple[float, float] = (0.0, 0.0),
+        interpolation: int = cv2.INTER_LINEAR,
+    ) -> NDArray[Any]:
+        """Rectify an image (H, W[, C]) whose first pixel lies at `origin_px` of the frame; black outside."""
+        out = cv2.warpPerspective(image, self.pixel_matrix(origin_px), self.size_wh, flags=interpolation)
+        return np.asarray(out)
+
+    def warp_image_back(self, image: NDArray[Any], frame_wh: tuple[int, int] | None = None) -> NDArray[Any]:
+        """Put a rectified image back into the frame; black outside."""
+        size = frame_wh or self.frame_wh
+        if size is None:
+            raise RectificationError("warp_image_back: the frame's size is not known; pass frame_wh")
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpPerspective(image, self.pixel_matrix(), size, flags=flags))
+
+    def warp_mask(self, mask: NDArray[np.bool_], *, origin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
+        """Rectify a bool mask (H, W): linear interpolation, cut at half."""
+        return self.warp_image(mask.astype(np.uint8) * 255, origin_px=origin_px) >= 128
+
+    def warp_mask_back(self, mask: NDArray[np.bool_], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+        """Put a rectified bool mask back into the frame."""
+        return self.warp_image_back(mask.astype(np.uint8) * 255, frame_wh) >= 128
+
+
+def _map(matrix: Array, points: ArrayLike) -> Array:
+    pts = np.asarray(points, dtype=np.float64)
+    return apply_homography(matrix, pts.reshape(-1, 2)).reshape(pts.shape)
+
+
+def _box_corners(boxes_xyxy: ArrayLike) -> Array:
+    boxes = np.asarray(boxes_xyxy, dtype=np.float64)
+    return boxes[..., [0, 1, 2, 1, 2, 3, 0, 3]].reshape(*boxes.shape[:-1], 4, 2)
+
+
+def _check_vanishing_points_outside(camera: Camera, hull: Array, pair: Pair, what: str) -> None:
+    polygon = shapely.Polygon(hull)
+    for number in (2, pair.vertical):
+        if polygon.intersects(shapely.Point(camera.vanishing_point(number))):
+            at = ", ".join(f"{v:.0f}" for v in camera.vanishing_point(number))
+            raise RectificationError(
+                f"{pair}: VP{number} at ({at}) lies inside {what}'s hull; mark only road that ends before it"
+            )
+
+
+def _line_crosses(start: Array, end: Array, hull: Array) -> bool:
+    """Whether the infinite line through two points touches a convex hull (K, 2)."""
+    direction = end - start
+    sides = direction[0] * (hull[:, 1] - start[1]) - direction[1] * (hull[:, 0] - start[0])
+    return not (bool((sides > 0).all()) or bool((sides < 0).all()))

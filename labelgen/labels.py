@@ -1,0 +1,173 @@
+"""The types that flow from sources to shards: labels of one image, and one labelled image.
+
+Convention: boxes are x0, y0, x1, y1 in rectified px, pixels being areas; see `labelgen.geometry`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum, IntFlag
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labelgen.errors import DataError
+from labelgen.geometry.box3d import decode_boxes, reorder_vertices
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.projective import Array
+from labelgen.geometry.rectification import Rectification
+
+__all__ = ["Flag", "Labels", "Sample", "Split", "VehicleClass"]
+
+
+class VehicleClass(IntEnum):
+    """What a label shows; values are part of the shard format."""
+
+    VEHICLE = 0
+    CAR = 1
+    MOTORCYCLE = 2
+    BUS = 3
+    TRUCK = 4
+
+
+class Split(IntEnum):
+    """Which part of its data set a sample belongs to; values are part of the shard format."""
+
+    NONE = 0
+    TRAIN = 1
+    VALIDATION = 2
+    TEST = 3
+
+
+class Flag(IntFlag):
+    """Remarks on a label; values are part of the shard format."""
+
+    TRUNCATED = 1
+    """The vehicle touches the border of the rectified image or of the frame: its box and c_c are cut."""
+    MIRRORED = 2
+    """In the source's 3D box vertices 0 and 1 stand the other way round than a decoded box has them."""
+    REVERSED = 4
+    """In the source's 3D box the edge 2, 3 is the near one."""
+    MISALIGNED = 8
+    """The source's 3D box does not follow the vanishing points, so decoding does not return it exactly."""
+    CANDIDATES_DISAGREE = 16
+    """The mask's two candidates for c_c differ by more than 0.1: its outline is not that of a clean box."""
+    TOUCHING = 32
+    """The mask touches another one: one of the two vehicles is likely to be partly hidden."""
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """Labels of one image, as a structure of arrays of equal length N.
+
+    Args:
+        boxes_xyxy: (N, 4) float64, rectified px, x0 < x1 and y0 < y1; may reach beyond the image.
+        cc: (N,) float64 in [0, 1].
+        class_ids: (N,) uint8, `VehicleClass`.
+        scores: (N,) float32 in [0, 1].
+        flags: (N,) uint16, `Flag`.
+        candidates: (N, 2) float64, both c_c candidates of a mask label; NaN where the label is not from a mask.
+
+    Raises:
+        DataError: all fields that are wrong, expected beside actual.
+    """
+
+    boxes_xyxy: Array
+    cc: Array
+    class_ids: NDArray[np.uint8] = None  # type: ignore[assignment]
+    scores: NDArray[np.float32] = None  # type: ignore[assignment]
+    flags: NDArray[np.uint16] = None  # type: ignore[assignment]
+    candidates: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        boxes = np.asarray(self.boxes_xyxy, dtype=np.float64)
+        n = len(boxes)
+        arrays: dict[str, NDArray[Any]] = {
+            "boxes_xyxy": boxes,
+            "cc": np.asarray(self.cc, dtype=np.float64),
+            "class_ids": np.asarray(np.zeros(n) if self.class_ids is None else self.class_ids, dtype=np.uint8),
+            "scores": np.asarray(np.ones(n) if self.scores is None else self.scores, dtype=np.float32),
+            "flags": np.asarray(np.zeros(n) if self.flags is None else self.flags, dtype=np.uint16),
+            "candidates": np.asarray(
+                np.full((n, 2), np.nan) if self.candidates is None else self.candidates, dtype=np.float64
+            ),
+        }
+        shapes = {"boxes_xyxy": (n, 4), "candidates": (n, 2)}
+        problems = [
+            f"{name}: expected shape {shapes.get(name, (n,))}, got {array.shape}"
+            for name, array in arrays.items()
+            if array.shape != shapes.get(name, (n,))
+        ]
+        if not problems:
+            if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
+                problems.append("boxes_xyxy: expected finite x0 < x1 and y0 < y1")
+            if not ((arrays["cc"] >= 0) & (arrays["cc"] <= 1)).all():
+                problems.append("cc: expected values in [0, 1]")
+            if not ((arrays["scores"] >= 0) & (arrays["scores"] <= 1)).all():
+                problems.append("scores: expected values in [0, 1]")
+        if problems:
+            raise DataError("labels: " + "; ".join(problems))
+        for name, array in arrays.items():
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.cc)
+
+    def __getitem__(self, index: Any) -> Labels:
+        """Some of the labels: a slice, a bool mask or an index array."""
+        return Labels(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    @classmethod
+    def empty(cls) -> Labels:
+        """No labels."""
+        return cls(np.empty((0, 4)), np.empty(0))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Labels]) -> Labels:
+        """All labels of several sets, in order."""
+        if not parts:
+            return cls.empty()
+        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+
+    def has(self, flag: Flag) -> NDArray[np.bool_]:
+        """(N,) which labels carry a flag."""
+        return np.asarray((self.flags & flag.value) != 0)
+
+    def vertices(self, vpu: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """The 3D boxes (N, 8, 2) in rectified px, in the source's vertex order, and which are valid (N,)."""
+        vertices, valid = decode_boxes(self.boxes_xyxy, self.cc, vpu)
+        return reorder_vertices(vertices, self.has(Flag.MIRRORED), self.has(Flag.REVERSED)), valid
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One rectified image with its labels.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        labels: in the rectified image.
+        rectification: frame px -> rectified px; its frame is the original image's, not the crop's.
+        camera: the calibration used.
+        source: which file or item of the data set, as text.
+        frame: frame number in a video, instance number in BoxCars; -1 where there is none.
+        time_s: time of the frame in its video; NaN where there is none.
+        split: part of the data set.
+        window_xyxy: (4,) the part of the original frame that `source` shows, frame px.
+    """
+
+    image: NDArray[np.uint8]
+    labels: Labels
+    rectification: Rectification
+    camera: Camera
+    source: str = ""
+    frame: int = -1
+    time_s: float = float("nan")
+    split: Split = Split.NONE
+    window_xyxy: Array = field(default_factory=lambda: np.full(4, np.nan))
+
+    def vertices_px(self) -> tuple[Array, NDArray[np.bool_]]:
+        """The 3D boxes (N, 8, 2) in the original frame's px, and which are valid (N,)."""
+        vertices, valid = self.labels.vertices(self.rectification.vpu)
+        return self.rectification.points_back(vertices), valid
