@@ -74,6 +74,11 @@ class ShardWriter:
         return len(self._samples)
 
     @property
+    def part(self) -> int:
+        """Number of this shard among its source's."""
+        return int(self._attributes["part"])
+
+    @property
     def labels(self) -> int:
         """Number of labels so far."""
         return sum(len(sample.labels) for sample in self._samples)
