@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import typer
 
 from labelgen import __version__
+from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
 from labelgen.commands.rectify import rectify
@@ -45,6 +46,7 @@ app.command("rectify", short_help="Rectify one picture of a scene.")(rectify)
 app.command("inspect", short_help="Say what shards hold.")(inspect)
 app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
+app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -98,7 +98,8 @@ def boxcars_job(
         data.annotations.name: digest,
         "pictures": "atlas" if data.from_atlas else "images",
     }
-    return Job("boxcars", chosen, inputs, units)
+    sources = {} if data.from_atlas else {"images": {"path": str(data.images.resolve())}}
+    return Job("boxcars", chosen, inputs, units, sources)
 
 
 def _left_out(instance: Instance, cameras: Sequence[str] | None, to_camera_only: bool) -> str:

@@ -13,7 +13,7 @@ import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -54,12 +54,14 @@ class Job:
         settings: everything that decides the content of the shards.
         inputs: what identifies the input files.
         units: the work.
+        sources: where the originals lie on this machine; not part of the job's identity.
     """
 
     command: str
     settings: Mapping[str, Any]
     inputs: Mapping[str, Any]
     units: Sequence[Unit]
+    sources: Mapping[str, Any] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
         """Identity of the job: the same on every run of the same command on the same input."""
@@ -95,7 +97,7 @@ def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -
         else:
             _run_in_processes(todo, out, count, bar)
     shards = [shard for unit in job.units for shard in unit.shards(out) or ()]
-    summary = write_index(out, shards, job.describe())
+    summary = write_index(out, shards, job.describe(), job.sources)
     if summary.labels == 0:
         clear_output(out)
         reasons = ", ".join(f"{n} x {reason}" for reason, n in summary.reasons.most_common(4)) or "there was no input"

@@ -107,8 +107,9 @@ def video_job(
         inputs[f"{number}: {scene.name}"] = [
             _fingerprint(p) for p in (scene.frames_path, scene.calibration_path, scene.mask_path)
         ]
+    sources = {unit.scene.name: unit.whereabouts() for unit in units}
     chosen = {"pair": str(pair), "size": f"{size_wh[0]}x{size_wh[1]}", "limit": limit, "per_shard": per_shard, **common}
-    return Job("bcs-masks", chosen, inputs, units)
+    return Job("bcs-masks", chosen, inputs, units, sources)
 
 
 def _fingerprint(path: Path) -> str:
@@ -147,6 +148,16 @@ class VideoUnit:
             return self.limit
         taken = -(-announced // self.every)
         return taken if self.limit is None else min(taken, self.limit)
+
+    def whereabouts(self) -> dict[str, str]:
+        """Where the originals lie on this machine."""
+        kind, _, file = self.masks.masks.partition(":")
+        return {
+            "path": str(Path(self.scene.frames_path or "").resolve()),
+            "calibration": str(self.scene.calibration_path.resolve()),
+            "road_mask": str(self.scene.mask_path.resolve()),
+            "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
+        }
 
     def _frames(self) -> FrameSource:
         assert self.scene.frames_path is not None

@@ -69,8 +69,17 @@ def summarise(readers: Sequence[ShardReader]) -> DatasetSummary:
     return summary
 
 
-def write_index(folder: Path, shards: Sequence[Path], job: Mapping[str, Any]) -> DatasetSummary:
-    """Write rejects.jsonl and, last of all, dataset.json: a data set with an index is complete."""
+def write_index(
+    folder: Path, shards: Sequence[Path], job: Mapping[str, Any], sources: Mapping[str, Any] | None = None
+) -> DatasetSummary:
+    """Write rejects.jsonl and, last of all, dataset.json: a data set with an index is complete.
+
+    Args:
+        folder: of the data set.
+        shards: its files, in order.
+        job: what made them.
+        sources: where the originals lie on this machine, for looking at labels; by name.
+    """
     readers = [ShardReader(path) for path in shards]
     summary = summarise(readers)
     write_atomic(folder / REJECTS_NAME, b"".join(to_json_lines(reader.rejects) for reader in readers))
@@ -102,6 +111,7 @@ def write_index(folder: Path, shards: Sequence[Path], job: Mapping[str, Any]) ->
             "rejects_by_reason": dict(sorted(summary.reasons.items())),
             HASH_ATTRIBUTE: whole,
             "job": dict(job),
+            "sources": dict(sources or {}),
             "shards": entries,
         },
     )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from labelgen.errors import DataError
 from labelgen.files import make_folder, write_atomic
-from labelgen.shards.index import DatasetSummary, write_index
+from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, write_index
 from labelgen.shards.reader import ShardReader, find_shards
 from labelgen.shards.schema import HASH_ATTRIBUTE
 
@@ -43,7 +44,12 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
         target = out / f"shard-{number:05d}.h5"
         write_atomic(target, path.read_bytes())
         written.append(target)
-    summary = write_index(out, written, {"command": "merge", "inputs": sorted({str(path.parent) for path in shards})})
+    folders = sorted({path.parent for path in shards})
+    sources: dict[str, Any] = {}
+    for folder in folders:
+        if (folder / INDEX_NAME).is_file():
+            sources.update(read_index(folder).get("sources", {}))
+    summary = write_index(out, written, {"command": "merge", "inputs": [str(folder) for folder in folders]}, sources)
     if len(kept) < len(shards):
         summary.warnings.append(f"{len(shards) - len(kept)} shards were there twice and are taken once")
     return summary

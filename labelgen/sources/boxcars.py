@@ -75,10 +75,10 @@ class BoxCars:
                 "give the folder that holds them as --root"
             )
         self.annotations = present[0]
-        self._images = root / layout["images"]
+        self.images = root / layout["images"]
         self._atlas_path = root / layout["atlas"]
         self._atlas: Any = None
-        if not self._images.is_dir() and not self._atlas_path.is_file():
+        if not self.images.is_dir() and not self._atlas_path.is_file():
             raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
         data = _load_annotations(self.annotations)
         self._samples: list[Any] = data["samples"]
@@ -93,7 +93,7 @@ class BoxCars:
     @property
     def from_atlas(self) -> bool:
         """Whether crops come from the atlas, which one process has to hold in memory."""
-        return not self._images.is_dir()
+        return not self.images.is_dir()
 
     def instances(self) -> Iterator[Instance]:
         """All instances, in the order of the data set."""
@@ -118,7 +118,7 @@ class BoxCars:
         if self.from_atlas:
             encoded = self._from_atlas(instance)
         else:
-            path = self._images / instance.path
+            path = self.images / instance.path
             try:
                 encoded = np.fromfile(path, dtype=np.uint8)
             except OSError as err:
