@@ -143,6 +143,7 @@ def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rul
         vpu: (2,) rectified px.
         rule: how to combine the two candidates.
     """
+    rule = Rule(rule)
     u, v = (float(x) for x in np.asarray(vpu, dtype=np.float64))
     if not outlines:
         nothing = np.empty(0)
