@@ -338,13 +338,18 @@ class Rectification:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(image, self.pixel_matrix(), size, flags=flags))
 
-    def warp_mask(self, mask: NDArray[np.bool_], *, origin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
-        """Rectify a bool mask (H, W): linear interpolation, cut at half."""
-        return self.warp_image(mask.astype(np.uint8) * 255, origin_px=origin_px) >= 128
+    def warp_mask(self, mask: NDArray[Any], *, origin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
+        """Rectify a mask (H, W), any non-zero value being set: linear interpolation, cut at half."""
+        return self.warp_image(_levels(mask), origin_px=origin_px) >= 128
 
-    def warp_mask_back(self, mask: NDArray[np.bool_], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
-        """Put a rectified bool mask back into the frame."""
-        return self.warp_image_back(mask.astype(np.uint8) * 255, frame_wh) >= 128
+    def warp_mask_back(self, mask: NDArray[Any], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+        """Put a rectified mask, any non-zero value being set, back into the frame."""
+        return self.warp_image_back(_levels(mask), frame_wh) >= 128
+
+
+def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
+    """A mask as 0 and 255."""
+    return np.where(mask, np.uint8(255), np.uint8(0))
 
 
 def _map(matrix: Array, points: ArrayLike) -> Array:
