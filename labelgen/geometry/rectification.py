@@ -142,7 +142,7 @@ class Rectification:
     Args:
         pair: the vanishing points made axis-parallel.
         size_wh: size of the rectified image, px.
-        matrix: (3, 3) frame px -> rectified px.
+        matrix: (3, 3) frame px -> rectified px, of either sign; kept with the sign of the convention above.
         vpu: (2,) the unused vanishing point in rectified px.
         frame_wh: size of the frame, px.
         frame_coverage: share of the rectified image that lies inside the frame.
@@ -174,7 +174,9 @@ class Rectification:
         except np.linalg.LinAlgError:
             raise RectificationError("rectification: the matrix is singular") from None
         centre = inverse @ np.array([self.size_wh[0] / 2, self.size_wh[1] / 2, 1.0])
-        inverse *= np.sign(centre[2]) or 1.0
+        # The centre of the rectified image lies on the visible side, whichever sign the matrix came with.
+        sign = np.sign(centre[2]) or 1.0
+        matrix, inverse = matrix * sign, inverse * sign
         for array in (matrix, vpu, inverse):
             array.setflags(write=False)
         for key, value in {"matrix": matrix, "vpu": vpu, "inverse": inverse}.items():
