@@ -169,6 +169,7 @@ class Rectification:
             raise RectificationError(
                 f"rectification: expected a finite 3x3 matrix and VPU, got {matrix.tolist()}, {vpu.tolist()}"
             )
+        _check_size(self.size_wh)
         try:
             inverse = np.linalg.inv(matrix)
         except np.linalg.LinAlgError:
@@ -206,6 +207,9 @@ class Rectification:
             RectificationError: the mask is empty or of another size than the frame, a vanishing point lies
                 inside it, the line joining the two crosses it, or it is cropped away.
         """
+        if crop_step < 1:
+            raise RectificationError(f"rectification: expected crop_step >= 1, got {crop_step}")
+        _check_size(size_wh)
         road = mask if isinstance(mask, RoadMask) else RoadMask(mask)
         if camera.image_wh is not None and road.size_wh != tuple(camera.image_wh):
             raise RectificationError(
@@ -247,6 +251,7 @@ class Rectification:
         Raises:
             RectificationError: the line joining the two vanishing points crosses the window.
         """
+        _check_size(size_wh)
         x0, y0, x1, y1 = (float(v) for v in np.asarray(window_xyxy, dtype=np.float64))
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         _check_vanishing_points_outside(camera, corners, pair, "the window")
@@ -347,6 +352,11 @@ class Rectification:
     def warp_mask_back(self, mask: NDArray[Any], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
         """Put a rectified mask, any non-zero value being set, back into the frame."""
         return self.warp_image_back(_levels(mask), frame_wh) >= 128
+
+
+def _check_size(size_wh: tuple[int, int]) -> None:
+    if not all(n > 0 for n in size_wh):
+        raise RectificationError(f"rectification: expected a size of two positive numbers, got {size_wh}")
 
 
 def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
