@@ -98,6 +98,8 @@ def rectify_windows(
 
     horizontal, vertical = vps_h[:, 1], vps_h[:, pair.vertical - 1]
     inner = points.mean(axis=1)
+    spread = (points - inner[:, None])[..., :2]
+    flat_region = np.linalg.det(np.swapaxes(spread, -1, -2) @ spread) < 1e-12
     to_infinity = np.cross(horizontal, vertical)
     basis = np.stack([np.cross(vertical, inner), np.cross(horizontal, inner), to_infinity], axis=1)
     norm = np.linalg.norm(basis, axis=-1, keepdims=True)
@@ -119,7 +121,7 @@ def rectify_windows(
     flat = flat * np.stack([right, up], axis=1)[:, None]
     low, high = flat.min(axis=1), flat.max(axis=1)
     extent = high - low
-    valid = (w > 1e-9).all(axis=1) & (extent > 1e-12).all(axis=1) & np.isfinite(extent).all(axis=1)
+    valid = ~flat_region & (w > 1e-9).all(axis=1) & (extent > 1e-12).all(axis=1) & np.isfinite(extent).all(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.asarray(size_wh, dtype=np.float64) / extent
         to_target = np.zeros((len(points), 3, 3))
@@ -254,6 +256,11 @@ class Rectification:
         _check_size(size_wh)
         x0, y0, x1, y1 = (float(v) for v in np.asarray(window_xyxy, dtype=np.float64))
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        if not (np.isfinite(corners).all() and x0 < x1 and y0 < y1):
+            raise RectificationError(
+                f"window: expected finite x0 < x1 and y0 < y1, got {[x0, y0, x1, y1]}; a window without area has no "
+                "rectification"
+            )
         _check_vanishing_points_outside(camera, corners, pair, "the window")
         if _line_crosses(camera.vp2, camera.vanishing_point(pair.vertical), corners):
             raise RectificationError(

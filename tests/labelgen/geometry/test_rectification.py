@@ -76,8 +76,9 @@ def _looking_down(pitch: float, focal: float = 150.0) -> Camera:
     [
         ([0, -100, 640, 360], "VP1 at .* lies inside the window's hull"),
         ([400, -100, 640, 360], "crosses the window"),
-        ([100, 100, 100, 300], "no area"),
-        ([100, 100, 100, 100], "no area"),
+        ([100, 100, 100, 300], "without area"),
+        ([100, 100, 100, 100], "without area"),
+        ([300, 100, 100, 300], "x0 < x1"),
         ([100, 100, np.nan, 300], "finite"),
     ],
 )
