@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
-from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, translation
+from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, homogeneous, translation
 
 __all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "parse_size", "rectify_windows"]
 
@@ -300,15 +300,14 @@ class Rectification:
 
     def _coverage_of_frame(self) -> float:
         assert self.frame_wh is not None
-        quad = self.corners_px
-        if not np.isfinite(quad).all():
-            return 0.0
-        inside = shapely.intersection(shapely.Polygon(quad), shapely.box(0, 0, *self.frame_wh))
-        if inside.is_empty or inside.geom_type != "Polygon":
-            return 0.0
-        seen = self.points(shapely.get_coordinates(inside.exterior))
-        area: float = shapely.Polygon(seen).area
-        return area / (self.size_wh[0] * self.size_wh[1])
+        (w, h), (frame_w, frame_h) = self.size_wh, self.frame_wh
+        seen = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64)
+        # Where a rectified point comes from is (x, y, w); the frame's four borders, as x >= 0 or x <= frame_w * w,
+        # are lines of the rectified image too, and together they leave only w >= 0.
+        x, y, scale = self.inverse
+        for border in (x, y, frame_w * scale - x, frame_h * scale - y):
+            seen = _clip(seen, border)
+        return float(shapely.Polygon(seen).area) / (w * h) if len(seen) > 2 else 0.0
 
     # -- warping, both ways -------------------------------------------------------------------------
 
@@ -374,6 +373,18 @@ def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
 def _map(matrix: Array, points: ArrayLike) -> Array:
     pts = np.asarray(points, dtype=np.float64)
     return apply_homography(matrix, pts.reshape(-1, 2)).reshape(pts.shape)
+
+
+def _clip(polygon: Array, line: Array) -> Array:
+    """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
+    side = homogeneous(polygon) @ line
+    corners = []
+    for i in range(len(polygon)):
+        if side[i - 1] * side[i] < 0:
+            corners.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * side[i - 1] / (side[i - 1] - side[i]))
+        if side[i] >= 0:
+            corners.append(polygon[i])
+    return np.array(corners).reshape(-1, 2)
 
 
 def _box_corners(boxes_xyxy: ArrayLike) -> Array:
