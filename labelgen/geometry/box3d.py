@@ -90,7 +90,9 @@ def decode_boxes(boxes_xyxy: ArrayLike, cc: ArrayLike, vpu: ArrayLike) -> tuple[
         s = (y0 - v) / (c - v)
         left = np.maximum(box[0], u + (box[0] - u) / s)
         right = np.minimum(box[2], u + (box[2] - u) / s)
-        valid = (s > 0) & (s <= 1 + 1e-12) & (left < right) & (share >= 0) & (share <= 1) & (v < y0)
+        width = right - left
+        valid = (s > 0) & (s <= 1 + 1e-12) & (width > 0) & (width < np.inf)
+        valid &= (share >= 0) & (share <= 1) & (v < y0) & (y0 < y1) & (y1 < np.inf)
     # Columns: x and y of the rectangle's two corners on either side, then the same pulled towards VPU.
     towards_left = u < (box[0] + box[2]) / 2
     hidden, seen = np.where(towards_left, right, left), np.where(towards_left, left, right)
