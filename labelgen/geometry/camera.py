@@ -224,6 +224,13 @@ class Camera:
             )
         return self.scale * abs(float(self.plane_normal[:2] @ self.pp) + PLANE_OFFSET)
 
+    def rays(self, points_px: ArrayLike) -> Array:
+        """(..., 3) directions, in the axes of the road frame and of any length, in which pixels (..., 2) look."""
+        points = np.asarray(points_px, dtype=np.float64)
+        ahead = np.full((*points.shape[:-1], 1), self.focal)
+        out: Array = np.concatenate([points - self.pp, ahead], axis=-1) @ self.axes.T
+        return out
+
     def road_points(self, points_px: ArrayLike, *, invalid: Literal["raise", "nan"] = "raise") -> Array:
         """Points of the road seen at pixels, in metres.
 
@@ -238,7 +245,7 @@ class Camera:
             CalibrationError: no scale, or a pixel on or above the horizon with invalid="raise".
         """
         points = np.asarray(points_px, dtype=np.float64)
-        rays = np.concatenate([points - self.pp, np.full((*points.shape[:-1], 1), self.focal)], axis=-1) @ self.axes.T
+        rays = self.rays(points)
         down = -rays[..., 2]
         off = ~(down > _HORIZON_COS * np.linalg.norm(rays, axis=-1))
         if invalid == "raise" and off.any():
