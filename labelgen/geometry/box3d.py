@@ -83,10 +83,10 @@ def decode_boxes(boxes_xyxy: ArrayLike, cc: ArrayLike, vpu: ArrayLike) -> tuple[
     u, v = np.asarray(vpu, dtype=np.float64).reshape(-1, 2).T
     below = v > (box[1] + box[3]) / 2
     flip = np.where(below, -1.0, 1.0)
-    c = flip * (box[1] + share * (box[3] - box[1]))
     y0, y1 = np.where(below, -box[3], box[1]), np.where(below, -box[1], box[3])
     v = flip * v
     with np.errstate(divide="ignore", invalid="ignore"):
+        c = flip * (box[1] + share * (box[3] - box[1]))
         s = (y0 - v) / (c - v)
         left = np.maximum(box[0], u + (box[0] - u) / s)
         right = np.minimum(box[2], u + (box[2] - u) / s)

@@ -99,7 +99,9 @@ def rectify_windows(
     horizontal, vertical = vps_h[:, 1], vps_h[:, pair.vertical - 1]
     inner = points.mean(axis=1)
     spread = (points - inner[:, None])[..., :2]
-    flat_region = np.linalg.det(np.swapaxes(spread, -1, -2) @ spread) < 1e-12
+    # Sum of squares of a region one unit long, so its determinant tells how thin it is.
+    with np.errstate(invalid="ignore"):
+        flat_region = np.linalg.det(np.swapaxes(spread, -1, -2) @ spread) < 1e-12
     to_infinity = np.cross(horizontal, vertical)
     basis = np.stack([np.cross(vertical, inner), np.cross(horizontal, inner), to_infinity], axis=1)
     norm = np.linalg.norm(basis, axis=-1, keepdims=True)

@@ -49,7 +49,8 @@ GOLDEN = {
     },
     # VPU (300, 400), right of and below: the roof is the whole rectangle. Distances up from VPU: bottom front edge
     # 400 - 300 = 100, top front edge 400 - 200 = 200, roof's rear edge 400 - 100 = 300; s = 100 / 200 = 0.5.
-    # Distances left of VPU: box 60..240; roof from min to 240 with the right end pulled to 0.5: right end 60 / 0.5 = 120.
+    # Distances left of VPU: the box's sides 240 and 60. Pulled by 0.5 the roof's right end must reach 60, so it lies
+    # 120 left of VPU, at 180; its left end is the box's own, 60.
     "below, right of": {
         "box": [60, 100, 240, 300],
         "cc": 0.5,

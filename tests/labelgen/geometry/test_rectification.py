@@ -112,7 +112,7 @@ def test_unknown_sizes_are_refused(text):
 def test_names_are_read_in_any_case():
     assert parse_size(" 640X360 ") == parse_size("640×360") == (640, 360)
     assert Pair.parse("vp1-vp2 ") is Pair.VP1_VP2
-    with pytest.raises(LabelgenError, match="VP1-VP3.*use one of VP2-VP3, VP1-VP2"):
+    with pytest.raises(LabelgenError, match=r"VP1-VP3.*use one of VP2-VP3, VP1-VP2"):
         Pair.parse("VP1-VP3")
 
 
