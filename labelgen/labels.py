@@ -83,35 +83,32 @@ class Labels:
     candidates: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        boxes = np.asarray(self.boxes_xyxy, dtype=np.float64)
-        n = len(boxes)
-        arrays: dict[str, NDArray[Any]] = {
-            "boxes_xyxy": boxes,
-            "cc": np.asarray(self.cc, dtype=np.float64),
-            "class_ids": np.asarray(np.zeros(n) if self.class_ids is None else self.class_ids, dtype=np.uint8),
-            "scores": np.asarray(np.ones(n) if self.scores is None else self.scores, dtype=np.float32),
-            "flags": np.asarray(np.zeros(n) if self.flags is None else self.flags, dtype=np.uint16),
-            "candidates": np.asarray(
-                np.full((n, 2), np.nan) if self.candidates is None else self.candidates, dtype=np.float64
-            ),
+        problems: list[str] = []
+        boxes = _numbers("boxes_xyxy", self.boxes_xyxy, problems)
+        n = len(boxes) if boxes.ndim else 1
+        neutral = {
+            "class_ids": np.zeros(n),
+            "scores": np.ones(n),
+            "flags": np.zeros(n),
+            "candidates": np.full((n, 2), np.nan),
         }
+        arrays = {"boxes_xyxy": boxes, "cc": _numbers("cc", self.cc, problems)}
+        for name, default in neutral.items():
+            value = getattr(self, name)
+            arrays[name] = default if value is None else _numbers(name, value, problems)
         shapes = {"boxes_xyxy": (n, 4), "candidates": (n, 2)}
-        problems = [
-            f"{name}: expected shape {shapes.get(name, (n,))}, got {array.shape}"
-            for name, array in arrays.items()
-            if array.shape != shapes.get(name, (n,))
-        ]
         if not problems:
-            if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
-                problems.append("boxes_xyxy: expected finite x0 < x1 and y0 < y1")
-            if not ((arrays["cc"] >= 0) & (arrays["cc"] <= 1)).all():
-                problems.append("cc: expected values in [0, 1]")
-            if not ((arrays["scores"] >= 0) & (arrays["scores"] <= 1)).all():
-                problems.append("scores: expected values in [0, 1]")
+            problems = [
+                f"{name}: expected shape {shapes.get(name, (n,))}, got {array.shape}"
+                for name, array in arrays.items()
+                if array.shape != shapes.get(name, (n,))
+            ]
+        if not problems:
+            problems = _wrong_values(arrays)
         if problems:
             raise DataError("labels: " + "; ".join(problems))
         for name, array in arrays.items():
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, array.astype(_DTYPES[name], copy=False))
 
     def __len__(self) -> int:
         return len(self.cc)
@@ -140,6 +137,45 @@ class Labels:
         """The 3D boxes (N, 8, 2) in rectified px, in the source's vertex order, and which are valid (N,)."""
         vertices, valid = decode_boxes(self.boxes_xyxy, self.cc, vpu)
         return reorder_vertices(vertices, self.has(Flag.MIRRORED), self.has(Flag.REVERSED)), valid
+
+
+_DTYPES: dict[str, Any] = {
+    "boxes_xyxy": np.float64,
+    "cc": np.float64,
+    "class_ids": np.uint8,
+    "scores": np.float32,
+    "flags": np.uint16,
+    "candidates": np.float64,
+}
+
+
+def _numbers(name: str, value: Any, problems: list[str]) -> NDArray[Any]:
+    """The value as an array of numbers, not yet of the field's type: narrowing would hide what is out of range."""
+    try:
+        array = np.asarray(value)
+        return array if array.dtype.kind in "biuf" else array.astype(np.float64)
+    except (TypeError, ValueError):
+        problems.append(f"{name}: expected numbers, got {type(value).__name__}")
+        return np.empty(0)
+
+
+def _wrong_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
+    problems = []
+    boxes = arrays["boxes_xyxy"]
+    if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
+        problems.append("boxes_xyxy: expected finite x0 < x1 and y0 < y1")
+    for name in ("cc", "scores"):
+        if not ((arrays[name] >= 0) & (arrays[name] <= 1)).all():
+            problems.append(f"{name}: expected values in [0, 1]")
+    for name in ("class_ids", "flags"):
+        values, top = arrays[name], np.iinfo(_DTYPES[name]).max
+        wrong = ~((values >= 0) & (values <= top) & (values == np.floor(values)))
+        if wrong.any():
+            problems.append(f"{name}: expected whole numbers from 0 to {top}, got {values[wrong][0]}")
+    candidates = arrays["candidates"]
+    if ((candidates < 0) | (candidates > 1)).any():
+        problems.append("candidates: expected values in [0, 1] or NaN")
+    return problems
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,14 +83,16 @@ def decode_boxes(boxes_xyxy: ArrayLike, cc: ArrayLike, vpu: ArrayLike) -> tuple[
     u, v = np.asarray(vpu, dtype=np.float64).reshape(-1, 2).T
     below = v > (box[1] + box[3]) / 2
     flip = np.where(below, -1.0, 1.0)
-    c = flip * (box[1] + share * (box[3] - box[1]))
     y0, y1 = np.where(below, -box[3], box[1]), np.where(below, -box[1], box[3])
     v = flip * v
     with np.errstate(divide="ignore", invalid="ignore"):
+        c = flip * (box[1] + share * (box[3] - box[1]))
         s = (y0 - v) / (c - v)
         left = np.maximum(box[0], u + (box[0] - u) / s)
         right = np.minimum(box[2], u + (box[2] - u) / s)
-        valid = (s > 0) & (s <= 1 + 1e-12) & (left < right) & (share >= 0) & (share <= 1) & (v < y0)
+        width = right - left
+        valid = (s > 0) & (s <= 1 + 1e-12) & (width > 0) & (width < np.inf)
+        valid &= (share >= 0) & (share <= 1) & (v < y0) & (y0 < y1) & (y1 < np.inf)
     # Columns: x and y of the rectangle's two corners on either side, then the same pulled towards VPU.
     towards_left = u < (box[0] + box[2]) / 2
     hidden, seen = np.where(towards_left, right, left), np.where(towards_left, left, right)

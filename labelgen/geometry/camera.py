@@ -49,6 +49,19 @@ def _point(value: Any, name: str, problems: list[str]) -> Array:
     return point
 
 
+def _size(value: Any, problems: list[str]) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    try:
+        width, height = value
+        if int(width) == width > 0 and int(height) == height > 0:
+            return int(width), int(height)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    problems.append(f"image_wh: expected two positive whole numbers, got {value!r}")
+    return None
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """Intrinsics and orientation from two orthogonal vanishing points; scale from one number.
@@ -87,20 +100,24 @@ class Camera:
                 problems.append(f"scale: expected a positive number, got {scale!r}")
             else:
                 scale = float(scale)
-        if self.image_wh is not None and not all(n > 0 for n in self.image_wh):
-            problems.append(f"image_wh: expected positive sizes, got {self.image_wh}")
+        image_wh = _size(self.image_wh, problems)
         focal, vp3 = math.nan, np.zeros(2)
         if not problems:
-            dot = float((vp1 - pp) @ (vp2 - pp))
+            with np.errstate(over="ignore", invalid="ignore"):
+                dot = float((vp1 - pp) @ (vp2 - pp))
             if dot >= 0:
                 problems.append(
                     f"vp1 {vp1.tolist()} and vp2 {vp2.tolist()} cannot be orthogonal: seen from pp "
                     f"{pp.tolist()} they must lie more than 90 degrees apart; check their order and pp"
                 )
             else:
+                # Coordinates whose squares overflow give no finite focal length; they are refused below.
                 focal = math.sqrt(-dot)
-                normal = np.cross([*(vp1 - pp), focal], [*(vp2 - pp), focal])
-                if abs(normal[2]) <= 1e-9 * np.linalg.norm(normal):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    normal = np.cross([*(vp1 - pp), focal], [*(vp2 - pp), focal])
+                if not np.isfinite(normal).all():
+                    problems.append(f"vp1 {vp1.tolist()} and vp2 {vp2.tolist()} lie too far away to compute with")
+                elif abs(normal[2]) <= 1e-9 * np.linalg.norm(normal):
                     problems.append(
                         "vp1, vp2 and pp lie on one line: the camera looks along the horizon and VP3 is "
                         "at infinity; check pp"
@@ -116,6 +133,7 @@ class Camera:
             "vp2": vp2,
             "pp": pp,
             "scale": scale,
+            "image_wh": image_wh,
             "focal": focal,
             "vp3": vp3,
         }.items():
@@ -159,13 +177,9 @@ class Camera:
             raise CalibrationError(f"calibration {path}: no such file") from None
         except OSError as err:
             raise CalibrationError(f"calibration {path}: {err.strerror or err}") from None
-        except ValueError as err:
+        except (ValueError, RecursionError) as err:
             raise CalibrationError(f"calibration {path}: not JSON ({err})") from None
-        try:
-            camera = cls.from_dict(data, name=str(path), image_wh=image_wh)
-        except CalibrationError:
-            raise
-        return replace(camera, name=path.stem)
+        return replace(cls.from_dict(data, name=str(path), image_wh=image_wh), name=path.stem)
 
     def to_dict(self) -> dict[str, Any]:
         """The public result format, without cars."""
@@ -210,6 +224,13 @@ class Camera:
             )
         return self.scale * abs(float(self.plane_normal[:2] @ self.pp) + PLANE_OFFSET)
 
+    def rays(self, points_px: ArrayLike) -> Array:
+        """(..., 3) directions, in the axes of the road frame and of any length, in which pixels (..., 2) look."""
+        points = np.asarray(points_px, dtype=np.float64)
+        ahead = np.full((*points.shape[:-1], 1), self.focal)
+        out: Array = np.concatenate([points - self.pp, ahead], axis=-1) @ self.axes.T
+        return out
+
     def road_points(self, points_px: ArrayLike, *, invalid: Literal["raise", "nan"] = "raise") -> Array:
         """Points of the road seen at pixels, in metres.
 
@@ -224,7 +245,7 @@ class Camera:
             CalibrationError: no scale, or a pixel on or above the horizon with invalid="raise".
         """
         points = np.asarray(points_px, dtype=np.float64)
-        rays = np.concatenate([points - self.pp, np.full((*points.shape[:-1], 1), self.focal)], axis=-1) @ self.axes.T
+        rays = self.rays(points)
         down = -rays[..., 2]
         off = ~(down > _HORIZON_COS * np.linalg.norm(rays, axis=-1))
         if invalid == "raise" and off.any():
@@ -254,7 +275,9 @@ class Camera:
         return out
 
     def resized(self, factor: float) -> Camera:
-        """The same camera for frames scaled by `factor`; distances in metres stay as they are."""
+        """The same camera for frames scaled by `factor` > 0; distances in metres stay as they are."""
+        if not (math.isfinite(factor) and factor > 0):
+            raise CalibrationError(f"camera {self.name or '(unnamed)'}: expected a positive factor, got {factor}")
         wh = self.image_wh
         camera = replace(
             self,

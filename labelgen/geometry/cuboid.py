@@ -54,11 +54,10 @@ def cuboid_sizes(vertices_px: ArrayLike, camera: Camera) -> Array:
     ground = camera.road_points(points[:, 4:], invalid="nan")
     width = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=-1)
     length = np.linalg.norm(ground[:, 2] - ground[:, 1], axis=-1)
-    # Height: where the ray of the top front edge's middle passes above the bottom front edge's middle. The
-    # vertical through the foot and the ray share a plane, so distances from the camera's foot decide.
-    foot = ground[:, :2].mean(axis=1)
-    beyond = camera.road_points(points[:, :2].mean(axis=1), invalid="nan")
-    reach_foot, reach_beyond = np.linalg.norm(foot, axis=-1), np.linalg.norm(beyond, axis=-1)
+    # Height: where the rays of the top front corners pass above the bottom front corners. The vertical through a
+    # corner and the ray share a plane, so how far the ray has fallen at the corner's distance decides.
+    rays = camera.rays(points[:, :2])
     with np.errstate(divide="ignore", invalid="ignore"):
-        height = camera.height_m * (1 - reach_foot / reach_beyond)
+        fall = rays[..., 2] / np.linalg.norm(rays[..., :2], axis=-1)
+    height = camera.height_m + (np.linalg.norm(ground[:, :2], axis=-1) * fall).mean(axis=1)
     return np.stack([length, width, height], axis=1)

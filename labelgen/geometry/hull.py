@@ -17,14 +17,19 @@ __all__ = ["RoadMask", "binary_mask"]
 def binary_mask(mask: NDArray[Any]) -> NDArray[np.bool_]:
     """(H, W) bool from a mask image (H, W) or (H, W, C): set where at least half of its type's range.
 
-    Masks in the data are JPEG-like: neither strictly 0/255 nor free of stray values.
+    Masks in the data are JPEG-like: neither strictly 0/255 nor free of stray values. Float masks run from 0 to 1.
+    Of colour images any channel counts, but not the alpha channel that comes second or fourth.
     """
-    if mask.ndim == 3:
-        mask = mask[..., :3].max(axis=2)
+    if mask.ndim == 3 and mask.shape[2] > 0:
+        mask = mask[..., : 1 if mask.shape[2] == 2 else 3].max(axis=2)
     if mask.ndim != 2:
         raise RectificationError(f"road mask: expected an image (H, W), got an array of shape {mask.shape}")
     if mask.dtype == np.bool_:
         return mask.astype(np.bool_)
+    if np.issubdtype(mask.dtype, np.floating) and mask.size and np.nanmax(mask) > 1:
+        raise RectificationError(
+            f"road mask: expected float values from 0 to 1, got {np.nanmax(mask):g}; divide it by its greatest value"
+        )
     half = (np.iinfo(mask.dtype).max + 1) / 2 if np.issubdtype(mask.dtype, np.integer) else 0.5
     return np.asarray(mask >= half)
 

@@ -79,9 +79,16 @@ class MaskLabels:
     valid: NDArray[np.bool_]
 
 
+def _as_uint8(mask: NDArray[Any]) -> NDArray[np.uint8]:
+    """Non-zero where the mask is; 256 and 0.5 are not to become 0."""
+    if mask.dtype == np.uint8:
+        return mask
+    return (mask if mask.dtype == np.bool_ else mask != 0).view(np.uint8)
+
+
 def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Outline | None:
     """Outline of a mask (H, W), any non-zero value being set, whose first pixel is `origin_px`; None if empty."""
-    image = mask.view(np.uint8) if mask.dtype == np.bool_ else np.ascontiguousarray(mask, dtype=np.uint8)
+    image = _as_uint8(mask)
     x, y, w, h = cv2.boundingRect(image)
     if w == 0:
         return None
@@ -107,12 +114,12 @@ def rectified_outline(
 
     Args:
         rectification: from the frame in which the mask lies.
-        mask: (h, w) bool, the part of the frame's mask that starts at `origin_px`.
+        mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
         origin_px: frame px of the mask's first pixel.
         oversample: how many times finer than the rectified image the mask is sampled, at most; 1 is the
             published method, more lowers the error of c_c several times (docs/label-accuracy.md).
     """
-    image: NDArray[Any] = mask.view(np.uint8) if mask.dtype == np.bool_ else np.ascontiguousarray(mask, dtype=np.uint8)
+    image: NDArray[Any] = _as_uint8(mask)
     x, y, width, height = cv2.boundingRect(image)
     if width == 0:
         return None
@@ -143,6 +150,7 @@ def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rul
         vpu: (2,) rectified px.
         rule: how to combine the two candidates.
     """
+    rule = Rule(rule)
     u, v = (float(x) for x in np.asarray(vpu, dtype=np.float64))
     if not outlines:
         nothing = np.empty(0)
@@ -172,7 +180,8 @@ def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rul
         ahead, _ = _candidates(slopes + shift, *frame, on_side=on_side, towards=slopes)
         behind, _ = _candidates(slopes - shift, *frame, on_side=on_side, towards=slopes)
         weight = 1 / np.maximum(np.abs(ahead - behind) / 2, 1e-6) ** 2
-        chosen = (c * weight).sum(axis=1) / weight.sum(axis=1)
+        # A weighted mean may leave its terms' range by a rounding error.
+        chosen = np.clip((c * weight).sum(axis=1) / weight.sum(axis=1), c.min(axis=1), c.max(axis=1))
     # Back to shares of the box's height, measured from its top in the unflipped image.
     shares = (np.concatenate([c, chosen[:, None]], axis=1) - y0[:, None]) / height
     shares = np.where(below[:, None], 1 - shares, shares)

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
-from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, translation
+from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, homogeneous, translation
 
 __all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "parse_size", "rectify_windows"]
 
@@ -98,6 +98,10 @@ def rectify_windows(
 
     horizontal, vertical = vps_h[:, 1], vps_h[:, pair.vertical - 1]
     inner = points.mean(axis=1)
+    spread = (points - inner[:, None])[..., :2]
+    # Sum of squares of a region one unit long, so its determinant tells how thin it is.
+    with np.errstate(invalid="ignore"):
+        flat_region = np.linalg.det(np.swapaxes(spread, -1, -2) @ spread) < 1e-12
     to_infinity = np.cross(horizontal, vertical)
     basis = np.stack([np.cross(vertical, inner), np.cross(horizontal, inner), to_infinity], axis=1)
     norm = np.linalg.norm(basis, axis=-1, keepdims=True)
@@ -119,7 +123,7 @@ def rectify_windows(
     flat = flat * np.stack([right, up], axis=1)[:, None]
     low, high = flat.min(axis=1), flat.max(axis=1)
     extent = high - low
-    valid = (w > 1e-9).all(axis=1) & (extent > 1e-12).all(axis=1) & np.isfinite(extent).all(axis=1)
+    valid = ~flat_region & (w > 1e-9).all(axis=1) & (extent > 1e-12).all(axis=1) & np.isfinite(extent).all(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.asarray(size_wh, dtype=np.float64) / extent
         to_target = np.zeros((len(points), 3, 3))
@@ -142,7 +146,7 @@ class Rectification:
     Args:
         pair: the vanishing points made axis-parallel.
         size_wh: size of the rectified image, px.
-        matrix: (3, 3) frame px -> rectified px.
+        matrix: (3, 3) frame px -> rectified px, of either sign; kept with the sign of the convention above.
         vpu: (2,) the unused vanishing point in rectified px.
         frame_wh: size of the frame, px.
         frame_coverage: share of the rectified image that lies inside the frame.
@@ -169,12 +173,15 @@ class Rectification:
             raise RectificationError(
                 f"rectification: expected a finite 3x3 matrix and VPU, got {matrix.tolist()}, {vpu.tolist()}"
             )
+        _check_size(self.size_wh)
         try:
             inverse = np.linalg.inv(matrix)
         except np.linalg.LinAlgError:
             raise RectificationError("rectification: the matrix is singular") from None
         centre = inverse @ np.array([self.size_wh[0] / 2, self.size_wh[1] / 2, 1.0])
-        inverse *= np.sign(centre[2]) or 1.0
+        # The centre of the rectified image lies on the visible side, whichever sign the matrix came with.
+        sign = np.sign(centre[2]) or 1.0
+        matrix, inverse = matrix * sign, inverse * sign
         for array in (matrix, vpu, inverse):
             array.setflags(write=False)
         for key, value in {"matrix": matrix, "vpu": vpu, "inverse": inverse}.items():
@@ -204,6 +211,9 @@ class Rectification:
             RectificationError: the mask is empty or of another size than the frame, a vanishing point lies
                 inside it, the line joining the two crosses it, or it is cropped away.
         """
+        if crop_step < 1:
+            raise RectificationError(f"rectification: expected crop_step >= 1, got {crop_step}")
+        _check_size(size_wh)
         road = mask if isinstance(mask, RoadMask) else RoadMask(mask)
         if camera.image_wh is not None and road.size_wh != tuple(camera.image_wh):
             raise RectificationError(
@@ -245,8 +255,14 @@ class Rectification:
         Raises:
             RectificationError: the line joining the two vanishing points crosses the window.
         """
+        _check_size(size_wh)
         x0, y0, x1, y1 = (float(v) for v in np.asarray(window_xyxy, dtype=np.float64))
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        if not (np.isfinite(corners).all() and x0 < x1 and y0 < y1):
+            raise RectificationError(
+                f"window: expected finite x0 < x1 and y0 < y1, got {[x0, y0, x1, y1]}; a window without area has no "
+                "rectification"
+            )
         _check_vanishing_points_outside(camera, corners, pair, "the window")
         if _line_crosses(camera.vp2, camera.vanishing_point(pair.vertical), corners):
             raise RectificationError(
@@ -286,15 +302,14 @@ class Rectification:
 
     def _coverage_of_frame(self) -> float:
         assert self.frame_wh is not None
-        quad = self.corners_px
-        if not np.isfinite(quad).all():
-            return 0.0
-        inside = shapely.intersection(shapely.Polygon(quad), shapely.box(0, 0, *self.frame_wh))
-        if inside.is_empty or inside.geom_type != "Polygon":
-            return 0.0
-        seen = self.points(shapely.get_coordinates(inside.exterior))
-        area: float = shapely.Polygon(seen).area
-        return area / (self.size_wh[0] * self.size_wh[1])
+        (w, h), (frame_w, frame_h) = self.size_wh, self.frame_wh
+        seen = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64)
+        # Where a rectified point comes from is (x, y, w); the frame's four borders, as x >= 0 or x <= frame_w * w,
+        # are lines of the rectified image too, and together they leave only w >= 0.
+        x, y, scale = self.inverse
+        for border in (x, y, frame_w * scale - x, frame_h * scale - y):
+            seen = _clip(seen, border)
+        return float(shapely.Polygon(seen).area) / (w * h) if len(seen) > 2 else 0.0
 
     # -- warping, both ways -------------------------------------------------------------------------
 
@@ -338,18 +353,40 @@ class Rectification:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(image, self.pixel_matrix(), size, flags=flags))
 
-    def warp_mask(self, mask: NDArray[np.bool_], *, origin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
-        """Rectify a bool mask (H, W): linear interpolation, cut at half."""
-        return self.warp_image(mask.astype(np.uint8) * 255, origin_px=origin_px) >= 128
+    def warp_mask(self, mask: NDArray[Any], *, origin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
+        """Rectify a mask (H, W), any non-zero value being set: linear interpolation, cut at half."""
+        return self.warp_image(_levels(mask), origin_px=origin_px) >= 128
 
-    def warp_mask_back(self, mask: NDArray[np.bool_], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
-        """Put a rectified bool mask back into the frame."""
-        return self.warp_image_back(mask.astype(np.uint8) * 255, frame_wh) >= 128
+    def warp_mask_back(self, mask: NDArray[Any], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+        """Put a rectified mask, any non-zero value being set, back into the frame."""
+        return self.warp_image_back(_levels(mask), frame_wh) >= 128
+
+
+def _check_size(size_wh: tuple[int, int]) -> None:
+    if not all(n > 0 for n in size_wh):
+        raise RectificationError(f"rectification: expected a size of two positive numbers, got {size_wh}")
+
+
+def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
+    """A mask as 0 and 255."""
+    return np.where(mask, np.uint8(255), np.uint8(0))
 
 
 def _map(matrix: Array, points: ArrayLike) -> Array:
     pts = np.asarray(points, dtype=np.float64)
     return apply_homography(matrix, pts.reshape(-1, 2)).reshape(pts.shape)
+
+
+def _clip(polygon: Array, line: Array) -> Array:
+    """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
+    side = homogeneous(polygon) @ line
+    corners = []
+    for i in range(len(polygon)):
+        if side[i - 1] * side[i] < 0:
+            corners.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * side[i - 1] / (side[i - 1] - side[i]))
+        if side[i] >= 0:
+            corners.append(polygon[i])
+    return np.array(corners).reshape(-1, 2)
 
 
 def _box_corners(boxes_xyxy: ArrayLike) -> Array:
