@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 from enum import IntEnum, IntFlag
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -182,7 +183,7 @@ class Sample:
     """One rectified image with its labels.
 
     Args:
-        image: (H, W, 3) uint8 BGR.
+        encoded: the image's JPEG or PNG bytes.
         labels: in the rectified image.
         rectification: frame px -> rectified px; its frame is the original image's, not the crop's.
         camera: the calibration used.
@@ -193,7 +194,7 @@ class Sample:
         window_xyxy: (4,) the part of the original frame that `source` shows, frame px.
     """
 
-    image: NDArray[np.uint8]
+    encoded: bytes
     labels: Labels
     rectification: Rectification
     camera: Camera
@@ -202,6 +203,18 @@ class Sample:
     time_s: float = float("nan")
     split: Split = Split.NONE
     window_xyxy: Array = field(default_factory=lambda: np.full(4, np.nan))
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 BGR, decoded anew at each access.
+
+        Raises:
+            DataError: the bytes are no image.
+        """
+        image = cv2.imdecode(np.frombuffer(self.encoded, dtype=np.uint8), cv2.IMREAD_COLOR) if self.encoded else None
+        if image is None:
+            raise DataError(f"sample {self.source} frame {self.frame}: its image cannot be decoded")
+        return np.asarray(image, dtype=np.uint8)
 
     def vertices_px(self) -> tuple[Array, NDArray[np.bool_]]:
         """The 3D boxes (N, 8, 2) in the original frame's px, and which are valid (N,)."""

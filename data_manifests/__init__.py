@@ -1,0 +1,1 @@
+"""Data manifests, read by `labelgen.manifest`: one TOML per data set."""

@@ -1,0 +1,76 @@
+"""The `labelgen` command: puts the commands together and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from labelgen import __version__
+from labelgen.commands.audit import audit
+from labelgen.commands.bcs_masks import bcs_masks
+from labelgen.commands.boxcars import boxcars
+from labelgen.commands.rectify import rectify
+from labelgen.commands.shards import inspect, merge, validate
+from labelgen.errors import LabelgenError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="labelgen",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+def _version(show: bool) -> None:
+    if show:
+        typer.echo(f"labelgen {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Show the version."),
+) -> None:
+    """Labels for monocular 3D vehicle detection and speed measurement from traffic cameras."""
+
+
+app.command("boxcars", short_help="BoxCars116k's 3D boxes -> shards.")(boxcars)
+app.command("bcs-masks", short_help="Traffic videos, through vehicle masks -> shards.")(bcs_masks)
+app.command("rectify", short_help="Rectify one picture of a scene.")(rectify)
+app.command("inspect", short_help="Say what shards hold.")(inspect)
+app.command("validate", short_help="Check shards and their index.")(validate)
+app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
+app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted."""
+    try:
+        code = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+    except LabelgenError as err:
+        _fail(" ".join(str(err).split()))
+    except KeyboardInterrupt:
+        typer.echo("labelgen: interrupted; the same command goes on where it stopped", err=True)
+        sys.exit(130)
+    except Exception as err:
+        # Click's own errors, such as an unknown option; anything else is a bug and keeps its traceback.
+        message = getattr(err, "format_message", None)
+        if message is not None:
+            context = getattr(err, "ctx", None)
+            hint = f"; see {context.command_path} --help" if context is not None else ""
+            _fail(f"{' '.join(message().split()).rstrip('.')}{hint}")
+        if type(err).__name__ == "Abort":
+            sys.exit(130)
+        raise
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> None:
+    typer.echo(f"labelgen: error: {message}", err=True)
+    sys.exit(2)

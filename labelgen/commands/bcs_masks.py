@@ -1,0 +1,102 @@
+"""`labelgen bcs-masks`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labelgen.commands.common import (
+    CalibrationOption,
+    JsonOption,
+    OverwriteOption,
+    PairOption,
+    QualityOption,
+    RoadMaskOption,
+    SceneSizeOption,
+    WorkersOption,
+    show_summary,
+)
+
+__all__ = ["bcs_masks"]
+
+
+def bcs_masks(
+    inputs: Annotated[
+        list[Path], typer.Argument(metavar="VIDEO_OR_SESSION...", help="Video files, image or session folders.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where the shards go; shards/NAME by default.")
+    ] = None,
+    calibration: CalibrationOption = None,
+    road_mask: RoadMaskOption = None,
+    masks: Annotated[
+        str,
+        typer.Option("--masks", metavar="SOURCE", help="Where masks come from: maskrcnn, background or coco:FILE."),
+    ] = "maskrcnn",
+    weights: Annotated[
+        Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
+    ] = None,
+    rule: Annotated[
+        str, typer.Option("--rule", metavar="RULE", help="How c_c's two candidates become one: wider or conditioned.")
+    ] = "wider",
+    every: Annotated[int, typer.Option("--every", min=1, metavar="N", help="Take every N-th frame.")] = 25,
+    pair: PairOption = "VP2-VP3",
+    size: SceneSizeOption = None,
+    limit: Annotated[
+        int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N taken frames of each video.")
+    ] = None,
+    score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a mask.")] = 0.5,
+    min_height: Annotated[
+        float, typer.Option("--min-height", min=1.0, metavar="PX", help="Least height of a label.")
+    ] = 10.0,
+    device: Annotated[
+        str | None, typer.Option("--device", help="Torch device; the GPU when there is one, by default.")
+    ] = None,
+    per_shard: Annotated[int, typer.Option("--per-shard", min=1, help="Taken frames in a shard.")] = 500,
+    quality: QualityOption = 95,
+    workers: WorkersOption = 1,
+    overwrite: OverwriteOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Label the vehicles of traffic videos through instance masks: rectified frames with 2D boxes and c_c.
+
+    Calibration and road mask are looked for beside each input. Every mask becomes a label or is listed with the
+    reason in rejects.jsonl. An interrupted run goes on where it stopped when the same command is given again.
+    """
+    from labelgen.errors import LabelgenError
+    from labelgen.generate.encoding import ImageCodec
+    from labelgen.generate.mask_labels import LabelLimits
+    from labelgen.generate.runner import run_job
+    from labelgen.generate.video import MaskSettings, video_job
+    from labelgen.geometry.mask_label import Rule
+    from labelgen.geometry.rectification import Pair, parse_size
+    from labelgen.manifest import load_manifest
+    from labelgen.sources.scenes import find_scene
+
+    chosen_pair = Pair.parse(pair)
+    size_wh = parse_size(size or load_manifest("brnocompspeed")["sizes"][str(chosen_pair)])
+    scenes = [find_scene(path, calibration=calibration, road_mask=road_mask) for path in inputs]
+    names = {scene.name for scene in scenes}
+    if out is None:
+        if len(names) > 1:
+            raise LabelgenError("several inputs: name the folder for their common shards with --out DIR")
+        out = Path("shards") / scenes[0].name
+    settings = MaskSettings(
+        masks, weights, score, Rule.parse(rule), LabelLimits(min_height_px=min_height), device=device
+    )
+    job = video_job(
+        scenes,
+        chosen_pair,
+        size_wh,
+        settings,
+        every=every,
+        limit=limit,
+        per_shard=per_shard,
+        codec=ImageCodec(quality or None),
+    )
+    summary = run_job(job, out, overwrite=overwrite, workers=workers)
+    show_summary(
+        f"Mask labels of {', '.join(sorted(names))}, {chosen_pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file
+    )

@@ -1,0 +1,86 @@
+"""What the commands share: option texts, the closing summary, --json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from labelgen.files import write_atomic
+from labelgen.shards.index import DatasetSummary
+
+__all__ = [
+    "CalibrationOption",
+    "JsonOption",
+    "OverwriteOption",
+    "PairOption",
+    "QualityOption",
+    "RoadMaskOption",
+    "SceneSizeOption",
+    "WorkersOption",
+    "print_table",
+    "show_summary",
+    "write_json_report",
+]
+
+PairOption = Annotated[
+    str, typer.Option("--pair", metavar="PAIR", help="Vanishing points made axis-parallel: VP2-VP3 or VP1-VP2.")
+]
+CalibrationOption = Annotated[
+    Path | None,
+    typer.Option("--calibration", metavar="FILE", help="Camera JSON; else the session's, or NAME.calibration.json."),
+]
+RoadMaskOption = Annotated[
+    Path | None,
+    typer.Option("--road-mask", metavar="FILE", help="Road mask; by default the session's, or NAME.mask.png."),
+]
+SceneSizeOption = Annotated[
+    str | None,
+    typer.Option("--size", metavar="WxH", help="Rectified size; 640x360 by default, 360x640 for VP1-VP2."),
+]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace what the output already holds. Without it, nothing is replaced.")
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the closing summary as JSON as well.")
+]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", min=0, help="Processes; 0 for one per core. Any number gives the same bytes.")
+]
+QualityOption = Annotated[
+    int, typer.Option("--quality", metavar="Q", help="JPEG quality of the images, 1 to 100; 0 for lossless PNG.")
+]
+
+
+def print_table(rows: list[tuple[str, Any]]) -> None:
+    """Two aligned columns on standard output."""
+    width = max((len(name) for name, _ in rows), default=0)
+    for name, value in rows:
+        typer.echo(f"  {name:<{width}}  {value}")
+
+
+def write_json_report(path: Path | None, data: Any) -> None:
+    """Write --json, if asked for."""
+    if path is not None:
+        write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+
+
+def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_file: Path | None) -> None:
+    """Print the closing table and write --json."""
+    typer.echo(title)
+    rows: list[tuple[str, Any]] = [
+        ("images", summary.images),
+        ("labels", summary.labels),
+        ("rejects", summary.rejects),
+        *((f"  {reason}", count) for reason, count in summary.reasons.most_common()),
+        ("shards", summary.shards),
+        *summary.extra.items(),
+    ]
+    if out is not None:
+        rows.append(("in", out))
+    print_table(rows)
+    for warning in summary.warnings:
+        typer.echo(f"note: {warning}", err=True)
+    write_json_report(json_file, {**summary.to_dict(), **({"out": str(out)} if out is not None else {})})

@@ -1,0 +1,88 @@
+"""Writing files so that a reader never sees half of one."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from labelgen.errors import OutputError
+
+__all__ = ["TEMPORARY_PREFIX", "make_folder", "remove_temporary_files", "write_atomic", "write_json"]
+
+TEMPORARY_PREFIX = ".labelgen-"
+
+_ADVICE = {
+    errno.ENOSPC: "no space left on the device; free some, the job goes on where it stopped",
+    errno.EDQUOT: "disk quota exceeded; free some space, the job goes on where it stopped",
+    errno.EFBIG: "file too large for the file system or the set limit",
+    errno.EACCES: "permission denied; choose another --out or change its permissions",
+    errno.EROFS: "read-only file system; choose another --out",
+}
+
+
+@contextlib.contextmanager
+def _as_output_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as err:
+        reason = _ADVICE.get(err.errno or 0, err.strerror or str(err))
+        raise OutputError(f"cannot write {path}: {reason}") from None
+
+
+def make_folder(path: Path) -> Path:
+    """Create a folder with its parents; OutputError where that is not possible."""
+    with _as_output_error(path):
+        path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def write_atomic(path: Path, data: bytes | memoryview) -> None:
+    """Write a whole file or nothing: temporary name, flush to disk, rename.
+
+    Raises:
+        OutputError: the disk is full, the folder not writable, and so on; nothing is left behind.
+    """
+    with _as_output_error(path):
+        handle, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, suffix=".tmp", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+            os.replace(temporary, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise
+        _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename survive a power cut, where the system can."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON atomically, keys in the order given."""
+    write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+
+
+def remove_temporary_files(folder: Path) -> None:
+    """Clear what killed writers left in a folder."""
+    for path in folder.glob(f"{TEMPORARY_PREFIX}*.tmp"):
+        with contextlib.suppress(OSError):
+            path.unlink()

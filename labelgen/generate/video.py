@@ -1,0 +1,272 @@
+"""The mask job: videos with instance masks -> rectified frames with labels."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labelgen.generate.encoding import ImageCodec
+from labelgen.generate.mask_labels import LABEL_LIMITS, LabelLimits, label_masks
+from labelgen.generate.runner import Job, Progress, finished_part
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.hull import RoadMask
+from labelgen.geometry.mask_label import Rule
+from labelgen.geometry.rectification import Pair, Rectification
+from labelgen.labels import Sample
+from labelgen.masks import InstanceMasks, MaskSource, create_mask_source
+from labelgen.shards import Reject, ShardReader, ShardWriter
+from labelgen.sources.frames import Frame, FrameSource, open_frames
+from labelgen.sources.scenes import Scene
+
+__all__ = ["MaskSettings", "VideoUnit", "video_job"]
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """Where masks come from and how they become labels.
+
+    Args:
+        masks: "maskrcnn", "background" or "coco:FILE".
+        weights: state dict for Mask R-CNN instead of the COCO weights.
+        score: least score of a mask.
+        rule: how c_c's two candidates become one.
+        limits: what to refuse.
+        batch: frames that Mask R-CNN sees at once.
+        device: torch device; None for the GPU when there is one.
+    """
+
+    masks: str = "maskrcnn"
+    weights: Path | None = None
+    score: float = 0.5
+    rule: Rule = Rule.WIDER
+    limits: LabelLimits = LABEL_LIMITS
+    batch: int = 4
+    device: str | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """For the shards' settings."""
+        kind, _, file = self.masks.partition(":")
+        return {
+            "masks": kind,
+            "masks_sha256": _digest(Path(file)) if file else None,
+            "weights_sha256": _digest(self.weights) if self.weights else None,
+            "score": self.score,
+            "rule": str(self.rule),
+            "min_height_px": self.limits.min_height_px,
+        }
+
+
+def _digest(path: Path) -> str | None:
+    if not path.is_file():
+        return None  # the mask source says what is wrong with it
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def video_job(
+    scenes: Sequence[Scene],
+    pair: Pair,
+    size_wh: tuple[int, int],
+    settings: MaskSettings,
+    *,
+    every: int = 25,
+    limit: int | None = None,
+    per_shard: int = 500,
+    codec: ImageCodec | None = None,
+) -> Job:
+    """Plan the labels of videos.
+
+    Everything that can be wrong with the calibration, the road mask and the mask source is found out here,
+    before anything is written.
+
+    Args:
+        scenes: the inputs.
+        pair, size_wh: the rectification.
+        settings: where masks come from.
+        every: take every so many-th frame.
+        limit: stop after so many taken frames of each video.
+        per_shard: taken frames in a shard, with or without vehicles.
+        codec: how images are stored.
+    """
+    codec = codec or ImageCodec()
+    common = {"kind": "masks", **settings.describe(), "every": every, **codec.describe()}
+    units = []
+    inputs = {}
+    for number, scene in enumerate(scenes):
+        assert scene.frames_path is not None
+        prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{scene.name}"
+        unit = VideoUnit(scene, pair, size_wh, settings, every, limit, per_shard, codec, common, prefix)
+        unit.prepare()
+        units.append(unit)
+        inputs[f"{number}: {scene.name}"] = [
+            _fingerprint(p) for p in (scene.frames_path, scene.calibration_path, scene.mask_path)
+        ]
+    sources = {unit.scene.name: unit.whereabouts() for unit in units}
+    chosen = {"pair": str(pair), "size": f"{size_wh[0]}x{size_wh[1]}", "limit": limit, "per_shard": per_shard, **common}
+    return Job("bcs-masks", chosen, inputs, units, sources)
+
+
+def _fingerprint(path: Path) -> str:
+    """Identity of an input: name, size and the hash of its two ends; videos are too long to hash whole."""
+    if path.is_dir():
+        names = sorted(f"{entry.name}:{entry.stat().st_size}" for entry in path.iterdir())
+        return f"{path.name} {hashlib.sha256(chr(10).join(names).encode()).hexdigest()[:16]}"
+    size, end = path.stat().st_size, 1 << 20
+    with path.open("rb") as file:
+        digest = hashlib.sha256(file.read(end))
+        file.seek(max(0, size - end))
+        digest.update(file.read(end))
+    return f"{path.name} {size} {digest.hexdigest()[:16]}"
+
+
+@dataclass(frozen=True)
+class VideoUnit:
+    """All shards of one video."""
+
+    scene: Scene
+    pair: Pair
+    size_wh: tuple[int, int]
+    masks: MaskSettings
+    every: int
+    limit: int | None
+    per_shard: int
+    codec: ImageCodec
+    settings: Mapping[str, Any]
+    prefix: str
+
+    @property
+    def size(self) -> int | None:
+        """Frames it will take, as announced by the container."""
+        announced = self._frames().frame_count
+        if announced is None:
+            return self.limit
+        taken = -(-announced // self.every)
+        return taken if self.limit is None else min(taken, self.limit)
+
+    def whereabouts(self) -> dict[str, str]:
+        """Where the originals lie on this machine."""
+        kind, _, file = self.masks.masks.partition(":")
+        return {
+            "path": str(Path(self.scene.frames_path or "").resolve()),
+            "calibration": str(self.scene.calibration_path.resolve()),
+            "road_mask": str(self.scene.mask_path.resolve()),
+            "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
+        }
+
+    def _frames(self) -> FrameSource:
+        assert self.scene.frames_path is not None
+        return open_frames(self.scene.frames_path)
+
+    def prepare(self) -> tuple[FrameSource, Camera, RoadMask, Rectification, MaskSource]:
+        """Open everything; raises what is wrong with it."""
+        frames = self._frames()
+        camera, road = self.scene.camera(frames.size_wh), self.scene.road()
+        rectification = Rectification.from_road_mask(camera, road, self.pair, self.size_wh)
+        source = create_mask_source(
+            self.masks.masks,
+            weights=self.masks.weights,
+            score_threshold=self.masks.score,
+            road_mask=road.pixels,
+            device=self.masks.device,
+            frame_wh=frames.size_wh,
+        )
+        return frames, camera, road, rectification, source
+
+    def _path(self, out: Path, part: int) -> Path:
+        return out / f"{self.prefix}-{part:05d}.h5"
+
+    def _there(self, out: Path) -> list[ShardReader]:
+        """Shards on disk, in order, up to the first gap."""
+        readers: list[ShardReader] = []
+        while reader := finished_part(self._path(out, len(readers))):
+            readers.append(reader)
+        return readers
+
+    def shards(self, out: Path) -> list[Path] | None:
+        """See `Unit`."""
+        readers = self._there(out)
+        if readers and readers[-1].attributes["last"]:
+            return [reader.path for reader in readers]
+        return None
+
+    def run(self, out: Path, progress: Progress) -> None:
+        """See `Unit`."""
+        frames, camera, road, rectification, source = self.prepare()
+        name = self.scene.name
+        have = len(self._there(out))
+        if source.every_frame:
+            stride = source.every_frame
+            images = frames.frames(lambda n: n % stride == 0)
+            source.prime(frame.image for frame in images)
+        with ExitStack() as stack:
+            writer: ShardWriter | None = None
+            taken = 0
+            for frame, masks in self._masked(frames, source, have * self.per_shard):
+                part = taken // self.per_shard
+                taken += 1
+                progress(1)
+                if masks is None:
+                    continue
+                if writer is None or part != writer.part:
+                    stack.close()
+                    writer = stack.enter_context(self._writer(out, part))
+                labels, rejects = label_masks(
+                    masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits
+                )
+                for item, reason, detail in rejects:
+                    writer.reject(Reject(name, frame.number, item, reason, detail))
+                if not len(labels):
+                    writer.reject(Reject(name, frame.number, -1, "frame without a labelled vehicle"))
+                    continue
+                encoded = self.codec.encode(rectification.warp_image(frame.image))
+                window = np.array([0.0, 0.0, *frames.size_wh])
+                split = self.scene.split_of(frame.number)
+                writer.add(
+                    Sample(encoded, labels, rectification, camera, name, frame.number, frame.time_s, split, window)
+                )
+            if writer is None:
+                writer = stack.enter_context(self._writer(out, taken // self.per_shard))
+            writer.last = True
+            for problem in [*frames.problems, *getattr(source, "problems", [])]:
+                writer.reject(Reject(name, -1, -1, "damaged input", problem))
+
+    def _writer(self, out: Path, part: int) -> ShardWriter:
+        path = self._path(out, part)
+        return ShardWriter(path, self.pair, self.size_wh, source=self.scene.name, part=part, settings=self.settings)
+
+    def _masked(
+        self, frames: FrameSource, source: MaskSource, skip: int
+    ) -> Iterator[tuple[Frame, InstanceMasks | None]]:
+        """Taken frames with their masks, in order; the first `skip` ones, whose shards are there, without."""
+        stride = source.every_frame
+        batch: list[Frame] = []
+        taken = 0
+
+        def ask() -> Iterator[tuple[Frame, InstanceMasks]]:
+            images, names = [frame.image for frame in batch], [frame.name for frame in batch]
+            yield from zip(batch, source.masks(images, [frame.number for frame in batch], names), strict=True)
+            batch.clear()
+
+        for frame in frames.frames(lambda n: n % self.every == 0 or bool(stride and n % stride == 0)):
+            if frame.number % self.every:
+                source.observe(frame.image)
+                continue
+            if self.limit is not None and taken >= self.limit:
+                break
+            taken += 1
+            if taken <= skip:
+                if stride:
+                    source.observe(frame.image)
+                yield frame, None
+                continue
+            batch.append(frame)
+            # A background model has to be asked in step with what it observes.
+            if stride or len(batch) >= self.masks.batch:
+                yield from ask()
+        yield from ask()

@@ -1,0 +1,258 @@
+"""Ready-made masks in COCO JSON, so that the output of any segmentation tool can be used.
+
+An image entry is found for a frame by its `frame` number where it has one, by its file name in a folder of images,
+and in a video by the number that its file name ends with (000123.jpg is frame 123).
+
+Source of the format: https://cocodataset.org/#format-data. Annotation files (an object with `images` and
+`annotations`) and bare lists of results are read; in a list of results the image ids are taken as frame numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError
+from labelgen.labels import VehicleClass
+from labelgen.masks.instances import InstanceMasks
+from labelgen.masks.segmentation import decode_segmentation
+
+__all__ = ["CLASS_BY_COCO_ID", "CLASS_BY_NAME", "CocoMasks"]
+
+CLASS_BY_COCO_ID = {
+    3: VehicleClass.CAR,
+    4: VehicleClass.MOTORCYCLE,
+    6: VehicleClass.BUS,
+    8: VehicleClass.TRUCK,
+}
+CLASS_BY_NAME = {
+    "car": VehicleClass.CAR,
+    "van": VehicleClass.CAR,
+    "motorcycle": VehicleClass.MOTORCYCLE,
+    "motorbike": VehicleClass.MOTORCYCLE,
+    "bus": VehicleClass.BUS,
+    "truck": VehicleClass.TRUCK,
+    "lorry": VehicleClass.TRUCK,
+    "vehicle": VehicleClass.VEHICLE,
+}
+
+
+class CocoMasks:
+    """Masks looked up in a COCO file; see the module's text for how frames are found.
+
+    Attributes:
+        problems: annotations that had to be skipped, with the reason; grows as frames are looked up.
+        ignored: how many annotations were left out per category that is no vehicle.
+
+    Args:
+        path: COCO JSON.
+        score_threshold: annotations with a lower `score` are left out; those without one count as 1.
+        frame_wh: report image entries that announce another size.
+
+    Raises:
+        DataError: the file is missing, not JSON, or not COCO.
+    """
+
+    name = "coco"
+    every_frame = 0
+    prime_frames = 0
+    batch_size = 16
+
+    def __init__(
+        self, path: str | Path, *, score_threshold: float = 0.0, frame_wh: tuple[int, int] | None = None
+    ) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+        self.ignored: Counter[str] = Counter()
+        self._score_threshold = score_threshold
+        self._told: set[str] = set()
+        data = _load(self.path)
+        if isinstance(data, list):
+            data = {"annotations": data}
+        self._classes = self._read_categories(data.get("categories"))
+        self._images = self._read_images(data, frame_wh)
+        self._annotations = self._read_annotations(data["annotations"])
+
+    def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
+        """Nothing to learn."""
+
+    def observe(self, image: NDArray[np.uint8]) -> None:
+        """Nothing to learn."""
+
+    def masks(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        frame_numbers: Sequence[int] | None = None,
+        file_names: Sequence[str] | None = None,
+    ) -> list[InstanceMasks]:
+        """The masks of each frame; none for frames that the file does not mention. See `MaskSource.masks`."""
+        numbers = [-1] * len(images) if frame_numbers is None else frame_numbers
+        names = [""] * len(images) if file_names is None else file_names
+        return [
+            self._masks_of((image.shape[1], image.shape[0]), self._image_id(number, name))
+            for image, number, name in zip(images, numbers, names, strict=True)
+        ]
+
+    # -- lookup -------------------------------------------------------------------------------------
+
+    def _image_id(self, number: int, name: str) -> Any:
+        if name:
+            path = PurePosixPath(name.replace("\\", "/"))
+            for key in (str(path), path.name):
+                if key in self._by_name:
+                    return self._by_name[key]
+        for table in (self._by_frame, {} if name else self._by_number):
+            if number in table:
+                return table[number]
+        return None
+
+    def _masks_of(self, frame_wh: tuple[int, int], image_id: Any) -> InstanceMasks:
+        origins, crops, class_ids, scores = [], [], [], []
+        for index, annotation in self._annotations.get(image_id, ()):
+            try:
+                score = _score(annotation.get("score", 1.0))
+                part = decode_segmentation(annotation.get("segmentation"), frame_wh)
+            except ValueError as error:
+                self._tell(f"annotation {annotation.get('id', f'number {index}')}: {error}; skipped")
+                continue
+            if score < self._score_threshold:
+                continue
+            origins.append(part[0])
+            crops.append(part[1])
+            class_ids.append(annotation["_class"])
+            scores.append(score)
+        if not crops:
+            return InstanceMasks.empty(frame_wh)
+        return InstanceMasks(
+            frame_wh,
+            np.array(origins, dtype=np.int64),
+            tuple(crops),
+            np.array(class_ids, dtype=np.uint8),
+            np.array(scores, dtype=np.float32),
+        )
+
+    def _tell(self, problem: str) -> None:
+        if problem not in self._told:
+            self._told.add(problem)
+            self.problems.append(f"{self.path.name}: {problem}")
+
+    # -- reading the file ---------------------------------------------------------------------------
+
+    def _read_categories(self, categories: Any) -> dict[int, VehicleClass]:
+        """Category id -> class; ids of categories that are no vehicles are remembered by name."""
+        self._other_names: dict[int, str] = {}
+        if not isinstance(categories, list) or not categories:
+            return dict(CLASS_BY_COCO_ID)
+        classes = {}
+        for category in categories:
+            if not isinstance(category, dict) or not isinstance(category.get("id"), int):
+                self._tell(f"category without an id: {str(category)[:60]}; skipped")
+                continue
+            name = str(category.get("name", "")).strip().lower()
+            if name in CLASS_BY_NAME:
+                classes[category["id"]] = CLASS_BY_NAME[name]
+            else:
+                self._other_names[category["id"]] = name or f"id {category['id']}"
+        if not classes:
+            known, found = ", ".join(CLASS_BY_NAME), ", ".join(sorted(self._other_names.values())[:10]) or "none"
+            raise DataError(f"{self.path}: none of its categories is a vehicle (found {found}); name them {known}")
+        return classes
+
+    def _read_images(self, data: dict[str, Any], frame_wh: tuple[int, int] | None) -> set[Any]:
+        """The image ids; fills the tables from frame number and from file name to image id."""
+        self._by_frame: dict[int, Any] = {}
+        self._by_name: dict[str, Any] = {}
+        self._by_number: dict[int, Any] = {}
+        images = data.get("images")
+        if images is None:
+            ids = {a["image_id"] for a in data["annotations"] if isinstance(a, dict) and _is_id(a.get("image_id"))}
+            self._by_frame = {i: i for i in ids if isinstance(i, int)}
+            return ids
+        ids = set()
+        base_names: Counter[str] = Counter()
+        for entry in images:
+            if not isinstance(entry, dict) or not _is_id(entry.get("id")):
+                self._tell(f"image entry without an id: {str(entry)[:60]}; skipped")
+                continue
+            ids.add(entry["id"])
+            size = (entry.get("width"), entry.get("height"))
+            if frame_wh is not None and None not in size and size != tuple(frame_wh):
+                self._tell(
+                    f"images announce {size[0]}x{size[1]} px, but the frames are {frame_wh[0]}x{frame_wh[1]}; "
+                    "masks of another size are skipped"
+                )
+            if isinstance(entry.get("frame"), int):
+                self._by_frame.setdefault(entry["frame"], entry["id"])
+            path = PurePosixPath(str(entry.get("file_name") or "").replace("\\", "/"))
+            if not path.name:
+                continue
+            self._by_name[str(path)] = entry["id"]
+            base_names[path.name] += 1
+            if base_names[path.name] == 1:
+                self._by_name.setdefault(path.name, entry["id"])
+            number = re.search(r"([0-9]+)[^0-9]*$", path.stem)
+            if number:
+                self._by_number.setdefault(int(number[1]), entry["id"])
+        repeated = sum(count > 1 for count in base_names.values())
+        if repeated:
+            self._tell(f"{repeated} file names occur several times; frames named without a folder use the first")
+        return ids
+
+    def _read_annotations(self, annotations: list[Any]) -> dict[Any, list[tuple[int, dict[str, Any]]]]:
+        """Vehicles' annotations by image id, with their place in the file."""
+        found: dict[Any, list[tuple[int, dict[str, Any]]]] = {}
+        for index, annotation in enumerate(annotations):
+            if not isinstance(annotation, dict):
+                self._tell(f"annotation number {index}: not a JSON object; skipped")
+                continue
+            label = f"annotation {annotation.get('id', f'number {index}')}"
+            image_id, category = annotation.get("image_id"), annotation.get("category_id")
+            if not _is_id(image_id) or image_id not in self._images:
+                self._tell(f"{label}: no image with id {image_id!r}; skipped")
+            elif not isinstance(category, int):
+                self._tell(f"{label}: category_id {category!r} is not a number; skipped")
+            elif annotation.get("iscrowd") == 1:
+                self.ignored["crowd regions"] += 1
+            elif category not in self._classes:
+                self.ignored[self._other_names.get(category, f"id {category}")] += 1
+            else:
+                entry = {**annotation, "_class": self._classes[category]}
+                found.setdefault(image_id, []).append((index, entry))
+        return found
+
+
+def _score(value: Any) -> float:
+    if not isinstance(value, int | float) or not 0 <= value <= 1:
+        raise ValueError(f"its score {value!r} is not in [0, 1]")
+    return float(value)
+
+
+def _is_id(value: Any) -> bool:
+    return isinstance(value, int | str) and not isinstance(value, bool)
+
+
+def _load(path: Path) -> Any:
+    try:
+        with path.open(encoding="utf-8") as file:
+            data = json.load(file)
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; --masks coco:FILE needs a COCO JSON file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: not a JSON file ({str(error).splitlines()[0]})") from None
+    if isinstance(data, list):
+        if all(isinstance(a, dict) and "image_id" in a for a in data[:100]):
+            return data
+    elif isinstance(data, dict):
+        images = data.get("images")
+        if isinstance(data.get("annotations"), list) and (images is None or isinstance(images, list)):
+            return data
+    raise DataError(f'{path}: JSON, but not COCO; expected an object with lists "images" and "annotations"')

@@ -1,0 +1,145 @@
+"""What every mask source gives: the vehicles' masks of one frame, cropped to where they are.
+
+Convention: pixels are areas; a crop (h, w) whose origin is (x, y) covers the frame's pixels [x, x + w) x [y, y + h).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labelgen.errors import DataError
+from labelgen.labels import VehicleClass
+
+__all__ = ["InstanceMasks", "crop_mask"]
+
+BoolMask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceMasks:
+    """N instance masks of one frame, as a structure of arrays.
+
+    Args:
+        frame_wh: size of the frame, px.
+        origins: (N, 2) int64, x and y of each crop's first pixel in the frame.
+        crops: N bool arrays (h_i, w_i), each with at least one pixel set, inside the frame.
+        class_ids: (N,) uint8, `labelgen.labels.VehicleClass`.
+        scores: (N,) float32 in [0, 1].
+
+    Raises:
+        DataError: all fields that are wrong, expected beside actual.
+    """
+
+    frame_wh: tuple[int, int]
+    origins: NDArray[np.int64]
+    crops: tuple[BoolMask, ...]
+    class_ids: NDArray[np.uint8]
+    scores: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        crops = tuple(self.crops)
+        n = len(crops)
+        origins = np.asarray(self.origins, dtype=np.int64)
+        class_ids = np.asarray(self.class_ids, dtype=np.uint8)
+        scores = np.asarray(self.scores, dtype=np.float32)
+        problems = [
+            f"{name}: expected shape {expected}, got {array.shape}"
+            for name, array, expected in (
+                ("origins", origins, (n, 2)),
+                ("class_ids", class_ids, (n,)),
+                ("scores", scores, (n,)),
+            )
+            if array.shape != expected
+        ]
+        if not problems:
+            problems += _crop_problems(self.frame_wh, origins, crops)
+            if not np.isin(class_ids, [c.value for c in VehicleClass]).all():
+                problems.append(f"class_ids: expected values of VehicleClass, got {sorted(set(class_ids.tolist()))}")
+            if not ((scores >= 0) & (scores <= 1)).all():
+                problems.append("scores: expected values in [0, 1]")
+        if problems:
+            raise DataError("instance masks: " + "; ".join(problems))
+        fields = {"origins": origins, "crops": crops, "class_ids": class_ids, "scores": scores}
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.crops)
+
+    @classmethod
+    def empty(cls, frame_wh: tuple[int, int]) -> InstanceMasks:
+        """No masks."""
+        return cls(frame_wh, np.empty((0, 2)), (), np.empty(0), np.empty(0))  # type: ignore[arg-type]
+
+    @classmethod
+    def from_masks(
+        cls,
+        frame_wh: tuple[int, int],
+        masks: Iterable[NDArray[Any]],
+        class_ids: Sequence[int],
+        scores: ArrayLike,
+    ) -> InstanceMasks:
+        """From whole-frame masks (H, W); each must have a pixel set."""
+        cropped = [crop_mask(mask) for mask in masks]
+        if any(part is None for part in cropped):
+            raise DataError("instance masks: a mask without any pixel; leave such masks out")
+        parts = [part for part in cropped if part is not None]
+        origins = np.array([origin for origin, _ in parts], dtype=np.int64).reshape(-1, 2)
+        return cls(
+            frame_wh,
+            origins,
+            tuple(crop for _, crop in parts),
+            np.asarray(class_ids, dtype=np.uint8),
+            np.asarray(scores, dtype=np.float32),
+        )
+
+    @property
+    def boxes_xyxy(self) -> NDArray[np.int64]:
+        """(N, 4) the crops' rectangles, frame px, along pixel borders."""
+        sizes = np.array([(c.shape[1], c.shape[0]) for c in self.crops], dtype=np.int64).reshape(-1, 2)
+        return np.concatenate([self.origins, self.origins + sizes], axis=1)
+
+    def full(self, index: int) -> BoolMask:
+        """(H, W) bool: one mask in the whole frame."""
+        out = np.zeros((self.frame_wh[1], self.frame_wh[0]), dtype=np.bool_)
+        (x, y), crop = self.origins[index], self.crops[index]
+        out[y : y + crop.shape[0], x : x + crop.shape[1]] = crop
+        return out
+
+
+def crop_mask(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> tuple[tuple[int, int], BoolMask] | None:
+    """A mask (H, W), any non-zero value being set, cut to its set pixels.
+
+    Args:
+        mask: (H, W) bool or number.
+        origin_px: frame px of the mask's first pixel.
+
+    Returns:
+        The crop's origin in the frame and the crop (h, w) bool; None if no pixel is set.
+    """
+    image = np.ascontiguousarray(mask if mask.dtype in (np.bool_, np.uint8) else mask != 0).view(np.uint8)
+    x, y, w, h = cv2.boundingRect(image)
+    if w == 0:
+        return None
+    return (x + origin_px[0], y + origin_px[1]), image[y : y + h, x : x + w] != 0
+
+
+def _crop_problems(frame_wh: tuple[int, int], origins: NDArray[np.int64], crops: tuple[BoolMask, ...]) -> list[str]:
+    problems = []
+    for i, ((x, y), crop) in enumerate(zip(origins.tolist(), crops, strict=True)):
+        if crop.ndim != 2 or crop.dtype != np.bool_:
+            problems.append(f"crops[{i}]: expected a bool array (h, w), got {crop.dtype} of shape {crop.shape}")
+        elif not crop.any():
+            problems.append(f"crops[{i}]: expected at least one pixel set")
+        elif x < 0 or y < 0 or x + crop.shape[1] > frame_wh[0] or y + crop.shape[0] > frame_wh[1]:
+            problems.append(
+                f"crops[{i}]: expected it inside the frame {frame_wh[0]}x{frame_wh[1]}, "
+                f"got {crop.shape[1]}x{crop.shape[0]} px at ({x}, {y})"
+            )
+    return problems

@@ -1,0 +1,259 @@
+"""Reading shards: lazily, in any process."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError, LabelgenError
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.rectification import Pair, Rectification, parse_size
+from labelgen.labels import Labels, Sample, Split
+from labelgen.shards.rejects import Reject, from_json_lines
+from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION
+
+__all__ = ["ShardReader", "ShardSet", "find_shards"]
+
+_STALE_AFTER_UNPICKLING = ("_tables", "attributes")
+
+
+class ShardReader:
+    """One shard. Opens its file at the first access, anew in each process, so it can be pickled and forked.
+
+    Everything but the image bytes is read at once and kept: it is small.
+
+    Args:
+        path: the shard.
+
+    Raises (at the first access):
+        DataError: not a shard, damaged, or of a newer format.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._file: h5py.File | None = None
+        self._pid = 0
+
+    def __enter__(self) -> ShardReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {key: value for key, value in self.__dict__.items() if key not in _STALE_AFTER_UNPICKLING}
+        return {**kept, "_file": None, "_pid": 0}
+
+    def close(self) -> None:
+        """Close the file; the next access opens it again."""
+        if self._file is not None and self._pid == os.getpid():
+            self._file.close()
+        self._file = None
+
+    def _open(self) -> h5py.File:
+        # A handle that came through fork() shares its file position with the parent: open our own.
+        if self._file is None or self._pid != os.getpid():
+            try:
+                self._file = h5py.File(self.path, "r", locking=False)
+            except FileNotFoundError:
+                raise DataError(f"{self.path}: no such shard") from None
+            except OSError as err:
+                reason = " ".join(str(err).split())
+                raise DataError(f"{self.path}: not a whole HDF5 file ({reason}); make it again") from None
+            self._pid = os.getpid()
+        return self._file
+
+    # -- what the file says of itself ----------------------------------------------------------------
+
+    @cached_property
+    def attributes(self) -> dict[str, Any]:
+        """Format, version, pair, size, source, part, settings and content hash."""
+        file = self._open()
+        if file.attrs.get("format") != FORMAT:
+            raise DataError(f"{self.path}: not a labelgen shard")
+        version = int(file.attrs.get("version", 0))
+        if version != VERSION:
+            raise DataError(
+                f"{self.path}: shard format {version}, this labelgen reads {VERSION}; use the other version"
+            )
+        missing = [key for key in (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE) if key not in file.attrs]
+        missing += [name for name in FIELDS if name not in file]
+        if missing:
+            raise DataError(f"{self.path}: damaged, it lacks {', '.join(missing)}; make it again")
+        return {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
+
+    @property
+    def pair(self) -> Pair:
+        """Vanishing-point pair of all samples."""
+        return Pair.parse(self.attributes["pair"])
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Size of all images, px."""
+        return parse_size(self.attributes["size"])
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What made the labels."""
+        settings: dict[str, Any] = json.loads(self.attributes["settings"])
+        return settings
+
+    @cached_property
+    def _tables(self) -> dict[str, NDArray[Any]]:
+        assert self.attributes is not None  # checks the format before anything is read
+        file = self._open()
+        tables: dict[str, NDArray[Any]] = {}
+        try:
+            for name, spec in FIELDS.items():
+                if name == "images/bytes":
+                    continue
+                tables[name] = file[name].asstr()[()] if spec.dtype == TEXT else file[name][()]
+        except (OSError, TypeError, ValueError) as err:
+            raise DataError(f"{self.path}: damaged ({' '.join(str(err).split())}); make it again") from None
+        return tables
+
+    def table(self, name: str) -> NDArray[Any]:
+        """A whole field by its name in the format, for instance "labels/cc"."""
+        return self._tables[name]
+
+    def __len__(self) -> int:
+        return len(self.table("samples/frame"))
+
+    @property
+    def label_count(self) -> int:
+        """Number of labels in the shard."""
+        return len(self.table("labels/cc"))
+
+    @cached_property
+    def rejects(self) -> list[Reject]:
+        """The inputs of this shard that gave no label."""
+        return from_json_lines(self.table("rejects").tobytes())
+
+    @cached_property
+    def cameras(self) -> list[Camera]:
+        """The calibrations used."""
+        rows = zip(
+            *(self.table(f"cameras/{key}") for key in ("vp1", "vp2", "pp", "scale", "size", "name")), strict=True
+        )
+        return [
+            Camera(vp1, vp2, pp, None if np.isnan(scale) else float(scale), _size(size), str(name))
+            for vp1, vp2, pp, scale, size, name in rows
+        ]
+
+    # -- samples ------------------------------------------------------------------------------------
+
+    def labels(self, index: int) -> Labels:
+        """Labels of one sample."""
+        start, stop = self.table("labels/offset")[[index, index + 1]]
+        rows = slice(int(start), int(stop))
+        return Labels(
+            self.table("labels/box")[rows],
+            self.table("labels/cc")[rows],
+            self.table("labels/class")[rows],
+            self.table("labels/score")[rows],
+            self.table("labels/flags")[rows],
+            self.table("labels/candidates")[rows],
+        )
+
+    def encoded(self, index: int) -> bytes:
+        """JPEG or PNG bytes of one sample."""
+        start, stop = self.table("images/offset")[[index, index + 1]]
+        data: bytes = self._open()["images/bytes"][int(start) : int(stop)].tobytes()
+        return data
+
+    def rectification(self, index: int) -> Rectification:
+        """Rectification of one sample, from the original frame."""
+        camera = self.cameras[int(self.table("samples/camera")[index])]
+        return Rectification(
+            self.pair,
+            self.size_wh,
+            self.table("samples/matrix")[index],
+            self.table("samples/vpu")[index],
+            camera.image_wh,
+        )
+
+    def __getitem__(self, index: int) -> Sample:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"{self.path}: sample {index} of {len(self)}")
+        index %= len(self)
+        return Sample(
+            self.encoded(index),
+            self.labels(index),
+            self.rectification(index),
+            self.cameras[int(self.table("samples/camera")[index])],
+            str(self.table("samples/source")[index]),
+            int(self.table("samples/frame")[index]),
+            float(self.table("samples/time")[index]),
+            Split(int(self.table("samples/split")[index])),
+            self.table("samples/window")[index],
+        )
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[i] for i in range(len(self)))
+
+
+class ShardSet:
+    """Several shards read as one sequence of samples. Picklable, like its readers.
+
+    Args:
+        paths: shards, or folders of shards.
+
+    Raises:
+        DataError: none found.
+    """
+
+    def __init__(self, paths: Sequence[str | Path]) -> None:
+        self.readers = [ShardReader(path) for path in find_shards(paths)]
+        self._starts = np.concatenate([[0], np.cumsum([len(reader) for reader in self.readers])])
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    def locate(self, index: int) -> tuple[ShardReader, int]:
+        """Reader and number within it of a sample."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        index %= len(self)
+        shard = int(np.searchsorted(self._starts, index, side="right")) - 1
+        return self.readers[shard], index - int(self._starts[shard])
+
+    def __getitem__(self, index: int) -> Sample:
+        reader, row = self.locate(index)
+        return reader[row]
+
+    def table(self, name: str) -> NDArray[Any]:
+        """A field of all shards, one after the other; offsets excepted, which start anew in each."""
+        return np.concatenate([reader.table(name) for reader in self.readers])
+
+
+def find_shards(paths: Sequence[str | Path]) -> list[Path]:
+    """Shard files named by files and folders, in a fixed order; DataError where there are none."""
+    found: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            inside = sorted(path.glob("shard-*.h5"))
+            if not inside:
+                raise DataError(f"{path}: no shards in it (shard-*.h5); make some with labelgen boxcars or bcs-masks")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        else:
+            raise DataError(f"{path}: no such file or folder of shards")
+    if not found:
+        raise LabelgenError("no shards named; give files or folders")
+    return found
+
+
+def _size(size: NDArray[np.int32]) -> tuple[int, int] | None:
+    return (int(size[0]), int(size[1])) if size.all() else None

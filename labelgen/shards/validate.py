@@ -1,0 +1,143 @@
+"""Checking shards: every rule of the format, every value, and the content hash."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError, LabelgenError
+from labelgen.geometry.box3d import decode_boxes
+from labelgen.labels import Split, VehicleClass
+from labelgen.shards.index import INDEX_NAME, read_index
+from labelgen.shards.reader import ShardReader, find_shards
+from labelgen.shards.schema import FIELDS, HASH_ATTRIBUTE, TEXT, content_hash
+
+__all__ = ["validate_folder", "validate_shard", "validate_shards"]
+
+
+def validate_shards(paths: Sequence[str | Path]) -> dict[Path, list[str]]:
+    """Problems by file or folder; empty lists where all is well.
+
+    Folders are checked against their index as well.
+    """
+    problems: dict[Path, list[str]] = {}
+    for path in map(Path, paths):
+        if path.is_dir():
+            try:
+                problems[path] = validate_folder(path)
+            except DataError as err:
+                problems[path] = [str(err)]
+    for shard in find_shards(paths):
+        problems[shard] = validate_shard(shard)
+    return problems
+
+
+def validate_folder(folder: Path) -> list[str]:
+    """Whether a folder's shards are the ones its index names."""
+    index = read_index(folder)
+    problems: list[str] = []
+    named = {str(entry.get("name")): entry for entry in index["shards"]}
+    present = {path.name: path for path in folder.glob("shard-*.h5")}
+    problems += [f"{name}: named in {INDEX_NAME} but missing" for name in sorted(named.keys() - present.keys())]
+    problems += [f"{name}: not named in {INDEX_NAME}" for name in sorted(present.keys() - named.keys())]
+    for name in sorted(named.keys() & present.keys()):
+        try:
+            with ShardReader(present[name]) as reader:
+                if reader.attributes[HASH_ATTRIBUTE] != named[name].get(HASH_ATTRIBUTE):
+                    problems.append(f"{name}: its content hash is not the one in {INDEX_NAME}")
+        except LabelgenError as err:
+            problems.append(str(err))
+    for key in ("images", "labels", "rejects"):
+        total = sum(int(entry.get(key, 0)) for entry in named.values())
+        if total != index.get(key):
+            problems.append(f"{INDEX_NAME}: {key} is {index.get(key)}, its shards add up to {total}")
+    return problems
+
+
+def validate_shard(path: str | Path) -> list[str]:
+    """What is wrong with a shard: fields, types, offsets, values, images, content hash."""
+    with ShardReader(path) as reader:
+        try:
+            attributes = reader.attributes
+            reader.pair, reader.size_wh, reader.settings  # noqa: B018  parsed for their errors
+        except (LabelgenError, ValueError) as err:
+            return [str(err)]
+        try:
+            with h5py.File(path, "r", locking=False) as file:
+                arrays = {name: _read(file, name) for name in FIELDS}
+        except (OSError, TypeError, ValueError, KeyError) as err:
+            return [f"cannot be read ({' '.join(str(err).split())})"]
+        problems = _check_layout(arrays)
+        if not problems:
+            if content_hash(attributes, arrays) != attributes[HASH_ATTRIBUTE]:
+                problems.append("its content is not what was written (hash differs)")
+            problems += _check_values(arrays)
+            problems += _check_images(arrays, reader.size_wh)
+            try:
+                reader.cameras, reader.rejects  # noqa: B018
+            except (LabelgenError, ValueError, TypeError) as err:
+                problems.append(str(err))
+        return problems
+
+
+def _read(file: h5py.File, name: str) -> NDArray[Any]:
+    values: NDArray[Any] = file[name].asstr()[()] if FIELDS[name].dtype == TEXT else file[name][()]
+    return values
+
+
+def _check_layout(arrays: dict[str, NDArray[Any]]) -> list[str]:
+    rows = {
+        "N": len(arrays["samples/frame"]),
+        "N+1": len(arrays["samples/frame"]) + 1,
+        "L": len(arrays["labels/cc"]),
+        "C": len(arrays["cameras/scale"]),
+    }
+    problems = []
+    for name, spec in FIELDS.items():
+        array = arrays[name]
+        if spec.dtype != TEXT and array.dtype != np.dtype(spec.dtype):
+            problems.append(f"{name}: expected type {spec.dtype}, got {array.dtype}")
+        expected = (rows.get(spec.rows, len(array)), *spec.shape)
+        if array.shape != expected:
+            problems.append(f"{name}: expected shape {expected}, got {array.shape}")
+    for name, total in (("images/offset", len(arrays["images/bytes"])), ("labels/offset", rows["L"])):
+        offsets = arrays[name]
+        if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != total or (np.diff(offsets) < 0).any():
+            problems.append(f"{name}: expected to rise from 0 to {total}")
+    return problems
+
+
+def _check_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
+    box, cc, camera = arrays["labels/box"], arrays["labels/cc"], arrays["samples/camera"]
+    checks = {
+        "labels/box: expected finite x0 < x1, y0 < y1": np.isfinite(box).all(1) & (box[:, :2] < box[:, 2:]).all(1),
+        "labels/cc: expected values in [0, 1]": (cc >= 0) & (cc <= 1),
+        "labels/class: unknown class": np.isin(arrays["labels/class"], [int(c) for c in VehicleClass]),
+        "samples/split: unknown split": np.isin(arrays["samples/split"], [int(s) for s in Split]),
+        "samples/matrix: expected finite numbers": np.isfinite(arrays["samples/matrix"]).all((1, 2)),
+        "samples/vpu: expected finite numbers": np.isfinite(arrays["samples/vpu"]).all(1),
+        "samples/camera: no such camera": (camera >= 0) & (camera < len(arrays["cameras/scale"])),
+    }
+    problems = [f"{what} (first at row {int((~good).argmax())})" for what, good in checks.items() if not good.all()]
+    if not problems:
+        vpu = np.repeat(arrays["samples/vpu"], np.diff(arrays["labels/offset"]), axis=0)
+        _, valid = decode_boxes(box, cc, vpu)
+        if not valid.all():
+            problems.append(f"labels: {int((~valid).sum())} have no 3D box (first at row {int((~valid).argmax())})")
+    return problems
+
+
+def _check_images(arrays: dict[str, NDArray[Any]], size_wh: tuple[int, int]) -> list[str]:
+    offsets = arrays["images/offset"]
+    for i in range(len(offsets) - 1):
+        data = arrays["images/bytes"][offsets[i] : offsets[i + 1]]
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+        if image is None or image.shape[1::-1] != size_wh:
+            return [f"images: number {i} is not an image of {size_wh[0]}x{size_wh[1]} px"]
+    return []

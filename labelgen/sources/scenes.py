@@ -1,0 +1,160 @@
+"""Scenes: a video, image or session folder together with its calibration and road mask.
+
+A session is a folder of the BrnoCompSpeed layout (see data_manifests/brnocompspeed.toml). Beside any other
+video NAME.ext lie NAME.calibration.json and NAME.mask.png.
+
+Source: Sochor et al., IEEE T-ITS 2018 (layout, split C).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.hull import RoadMask, binary_mask
+from labelgen.labels import Split
+from labelgen.manifest import load_manifest
+
+__all__ = ["Scene", "find_scene", "read_mask"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where a camera's frames, calibration and road mask are.
+
+    Args:
+        name: of the session or the file, for messages and shards.
+        frames_path: video file, image file or folder of images; None for a session whose video is not there.
+        calibration_path: public JSON.
+        mask_path: road mask image.
+        picture_path: a picture of the scene, where there is one.
+        session: name of the BrnoCompSpeed session, or "".
+        fps: frame rate that the data set states; None where it states none.
+    """
+
+    name: str
+    frames_path: Path | None
+    calibration_path: Path
+    mask_path: Path
+    picture_path: Path | None = None
+    session: str = ""
+    fps: float | None = None
+
+    def camera(self, image_wh: tuple[int, int]) -> Camera:
+        """The calibration, for frames of this size."""
+        return Camera.load(self.calibration_path, image_wh=image_wh)
+
+    def road(self) -> RoadMask:
+        """The road mask."""
+        return RoadMask(read_mask(self.mask_path))
+
+    def split_of(self, frame: int) -> Split:
+        """Part of the published split C; NONE outside the data set."""
+        if not self.session:
+            return Split.NONE
+        rules = load_manifest("brnocompspeed")["splits"]["C"]
+        group = self.session.split("_")[0]
+        if group in rules["test"]:
+            return Split.TEST
+        if group in rules["train"]:
+            return Split.VALIDATION if frame < rules["validation_frames"] else Split.TRAIN
+        return Split.NONE
+
+
+def find_scene(
+    path: Path, *, calibration: Path | None = None, road_mask: Path | None = None, need_frames: bool = True
+) -> Scene:
+    """Find what belongs to a video, image or session folder.
+
+    Args:
+        path: video file, image file, folder of images, or session folder.
+        calibration, road_mask: use these instead of looking beside the input.
+        need_frames: whether a session without its video is an error.
+
+    Raises:
+        DataError: something is missing; names everything that is, and where it was looked for.
+    """
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder")
+    layout = load_manifest("brnocompspeed")["layout"]
+    folder = path.resolve() if path.is_dir() else path.resolve().parent
+    is_session = (folder / layout["road_mask"]).is_file() or (folder / layout["ground_truth"]).is_file()
+    if is_session and (path.is_dir() or path.name in (*layout["videos"], layout["empty_road"])):
+        return _session(path, folder, layout, calibration, road_mask, need_frames)
+    stem = path.name if path.is_dir() else path.stem
+    missing: list[str] = []
+    beside = path.resolve().parent
+    calibration = _choose("calibration", "--calibration", calibration, [beside / f"{stem}.calibration.json"], missing)
+    road_mask = _choose("road mask", "--road-mask", road_mask, [beside / f"{stem}.mask.png"], missing)
+    _complain(path, missing)
+    return Scene(stem, path, calibration, road_mask, path if path.is_file() else None)
+
+
+def _session(
+    path: Path,
+    folder: Path,
+    layout: dict[str, Any],
+    calibration: Path | None,
+    road_mask: Path | None,
+    need_frames: bool,
+) -> Scene:
+    manifest = load_manifest("brnocompspeed")
+    name = folder.name
+    missing: list[str] = []
+    results = (folder / layout["results"] / name).resolve()
+    places = [results / file for file in layout["calibrations"]]
+    places += [place for place in sorted(results.glob("system_*.json")) if place not in places]
+    calibration = _choose("calibration", "--calibration", calibration, places, missing)
+    road_mask = _choose("road mask", "--road-mask", road_mask, [folder / layout["road_mask"]], missing)
+    videos = [folder / video for video in layout["videos"]]
+    frames = path if path.is_file() else next((video for video in videos if video.is_file()), None)
+    if frames is None and need_frames:
+        missing.append(f"no video ({' or '.join(layout['videos'])} in {folder})")
+    _complain(path, missing)
+    empty_road = folder / layout["empty_road"]
+    known = re.match(layout["session"], name) is not None
+    rate = manifest["rates"].get(name, manifest["rates"]["default"]) if known else None
+    picture = empty_road if empty_road.is_file() else None
+    return Scene(name, frames, calibration, road_mask, picture, name if known else "", rate)
+
+
+def _choose(what: str, option: str, given: Path | None, places: list[Path], missing: list[str]) -> Path:
+    if given is not None:
+        if not given.is_file():
+            missing.append(f"no {what} at {option} {given}")
+        return given
+    for place in places:
+        if place.is_file():
+            return place
+    looked = f"looked for {places[0].name} in {places[0].parent}" if places else "none is known"
+    missing.append(f"no {what} ({looked}; give {option} FILE)")
+    return places[0] if places else Path()
+
+
+def _complain(path: Path, missing: list[str]) -> None:
+    if missing:
+        raise DataError(f"{path}: {'; '.join(missing)}")
+
+
+def read_mask(path: Path) -> NDArray[np.bool_]:
+    """(H, W) bool road mask from an image file.
+
+    Raises:
+        DataError: missing or no image.
+    """
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as err:
+        raise DataError(f"road mask {path}: {err.strerror or err}") from None
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise DataError(f"road mask {path}: not an image")
+    return binary_mask(image)
