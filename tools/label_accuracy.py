@@ -217,16 +217,16 @@ def measure_scenes(scenes: list[Scene], count: int, oversample: int | None = Non
 
 # -- the page ------------------------------------------------------------------------------------------
 
-_LENGTHS = ", ".join(f"{low[0]:g}-{high[0]:g} m long" for low, high in KINDS_LWH)
+_LENGTHS = ", ".join(f"{low[0]:g}-{high[0]:g}" for low, high in KINDS_LWH)
 _SIZES = " and ".join(f"{w}x{h} ({pair})" for pair, (w, h) in SIZES.items())
 _INTRODUCTION = f"""# How exact are labels from masks?
 
 Measured on solid boxes, whose exact label is known. In the scene of each recording (its calibration, its road mask)
 random boxes are put on the road, spread evenly over its metres, one third each of the size of cars, vans and lorries
-({_LENGTHS}), aligned with the direction of travel. Those wholly inside the frame and the rectified image are kept. Each
-is drawn as a mask in the frame (a pixel is set if the box covers its centre), the mask is rectified and labelled as in
-real use, and the label is compared with the one computed from the eight projected corners. Sizes of the rectified
-image: {_SIZES}.
+({_LENGTHS} m long), aligned with the direction of travel. Those wholly inside the frame and the
+rectified image are kept. Each is drawn as a mask in the frame (a pixel is set if the box covers its centre), the mask
+is rectified and labelled as in real use, and the label is compared with the one computed from the eight projected
+corners. Sizes of the rectified image: {_SIZES}.
 
 - **c_c error** is |c_c from the mask - exact c_c|; c_c itself runs from 0 to 1.
 - **box error** is the greatest error among a box's four sides, rectified px. Half a pixel of the frame is part of it:
@@ -236,10 +236,11 @@ image: {_SIZES}.
 - **fine raster** (the default) rectifies a mask onto a grid up to four times finer than the image; **published
   raster** (`oversample=1`) is the image's own grid.
 - **no label** counts boxes left out because no label exists for them: VPU lies between their top and bottom, so
-  decoding calls them invalid (session5_left, where the point below the camera is all but in the picture). They come on top
-  of n.
+  decoding calls them invalid (session5_left, where the point below the camera is all but in the picture). They are
+  not part of n.
 
-Asked for in every scene: median c_c error <= {MEDIAN_BOUND} by `wider`, 99th percentile <= {P99_BOUND} by `conditioned`.
+Asked for in every scene: median c_c error <= {MEDIAN_BOUND} by `wider`, 99th percentile <= {P99_BOUND} by
+`conditioned`.
 
 Real vehicles are not boxes: rounded bonnets, sloping windscreens, mirrors and ragged masks move the tangents by more
 than a raster does. Which rule is better on vehicles is a question for the synthetic-traffic page, not for this one.
@@ -302,8 +303,9 @@ def _verdict(measured: dict[str, list[Row]]) -> str:
     median = min(pooled, key=lambda key: float(np.median(pooled[key])))
     tail = min(pooled, key=lambda key: float(np.percentile(pooled[key], 99)))
     return (
-        f"On solid boxes, over all scenes and both pairs: the lowest median comes from `{median[1]}` on the {median[0]} "
-        f"raster, the lowest 99th percentile from `{tail[1]}` on the {tail[0]} raster.\n"
+        "On solid boxes, over all scenes and both pairs, "
+        f"the lowest median comes from `{median[1]}` on the {median[0]} raster,\n"
+        f"the lowest 99th percentile from `{tail[1]}` on the {tail[0]} raster.\n"
     )
 
 
