@@ -159,7 +159,7 @@ def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rul
     below = v > (boxes[:, 1] + boxes[:, 3]) / 2
     flip = np.where(below, -1.0, 1.0)
     y0, y1 = np.where(below, -boxes[:, 3], boxes[:, 1]), np.where(below, -boxes[:, 1], boxes[:, 3])
-    valid = flip * v < y0
+    valid = (flip * v < y0) & bool(np.isfinite([u, v]).all())
 
     # Tangents x = u + k (y - v): per mask the least and the greatest k, and how far below VPU they touch.
     slopes, depths = np.zeros((len(outlines), 2)), np.ones((len(outlines), 2))
