@@ -13,6 +13,7 @@ from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
+from labelgen.commands.synth import synth_app
 from labelgen.errors import LabelgenError
 
 __all__ = ["app", "main"]
@@ -47,6 +48,7 @@ app.command("inspect", short_help="Say what shards hold.")(inspect)
 app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
 app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
+app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
