@@ -172,7 +172,9 @@ def test_touching_the_pictures_border_is_like_any_other_place():
     assert full.valid.all()
 
 
-@pytest.mark.parametrize("vpu", [(300.0, 100.0), (300.0, 180.0), (0.0, 180.0), (300.0, 280.0), (np.nan, -50.0), (300.0, -np.inf)])
+@pytest.mark.parametrize(
+    "vpu", [(300.0, 100.0), (300.0, 180.0), (0.0, 180.0), (300.0, 280.0), (np.nan, -50.0), (300.0, -np.inf)]
+)
 def test_without_tangents_there_is_no_label(vpu):
     mask = np.zeros((360, 640), bool)
     mask[100:280, 180:460] = True
