@@ -232,7 +232,7 @@ def test_the_fine_raster_agrees_with_the_pictures_own(rectification):
     rows, columns = np.nonzero(mask)
     corners = rectification.points(np.stack([columns, rows], axis=1)[:, None] + [[0, 0], [1, 0], [0, 1], [1, 1]])
     exact = [*corners.min(axis=(0, 1)), *corners.max(axis=(0, 1))]
-    np.testing.assert_allclose(fine.box_xyxy, exact, atol=1.0)
+    np.testing.assert_allclose(fine.box_xyxy, exact, atol=0.3)
 
 
 def test_what_lies_outside_the_picture_is_cut(rectification):
