@@ -115,7 +115,15 @@ class Labels:
 
     def __getitem__(self, index: Any) -> Labels:
         """Some of the labels: a slice, a bool mask or an index array."""
-        return Labels(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return Labels._of_checked({f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    @classmethod
+    def _of_checked(cls, arrays: dict[str, NDArray[Any]]) -> Labels:
+        """Labels of arrays that come from other labels; checking them again would cost more than the rest."""
+        labels = object.__new__(cls)
+        for name, array in arrays.items():
+            object.__setattr__(labels, name, array)
+        return labels
 
     @classmethod
     def empty(cls) -> Labels:
@@ -127,7 +135,7 @@ class Labels:
         """All labels of several sets, in order."""
         if not parts:
             return cls.empty()
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+        return cls._of_checked({f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
 
     def has(self, flag: Flag) -> NDArray[np.bool_]:
         """(N,) which labels carry a flag."""

@@ -230,18 +230,19 @@ def _label_boxes(vertices: Array, vpus: Array, size_wh: tuple[int, int]) -> list
         + Flag.MISALIGNED * (off > _MISALIGNED)
         + Flag.TRUNCATED * outside
     )
+    good = finite & valid & (off <= _UNUSABLE)
+    labels = Labels(boxes[good], cc[good], np.full(good.sum(), VehicleClass.VEHICLE), flags=flags[good])
+    row = np.cumsum(good) - 1
     found: list[Labels | tuple[str, str]] = []
     for i in range(len(vertices)):
-        if not finite[i]:
+        if good[i]:
+            found.append(labels[row[i] : row[i] + 1])
+        elif not finite[i]:
             found.append(("box beyond the horizon", "a corner of its 3D box lies on or beyond the horizon"))
         elif not valid[i]:
             detail = f"c_c {cc[i]:.3f} in a box of {extent[i]:.1f} px decodes to no 3D box"
             found.append(("no valid 3D box", detail))
-        elif off[i] > _UNUSABLE:
+        else:
             detail = f"decoded, it lies {off[i]:.0%} of its size from the annotated one"
             found.append(("box against the vanishing points", detail))
-        else:
-            row = slice(i, i + 1)
-            vehicle = np.array([VehicleClass.VEHICLE], dtype=np.uint8)
-            found.append(Labels(boxes[row], cc[row], vehicle, flags=flags[row].astype(np.uint16)))
     return found

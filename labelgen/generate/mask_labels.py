@@ -16,7 +16,7 @@ from labelgen.geometry.mask_label import Outline, Rule, label_outlines, rectifie
 from labelgen.geometry.projective import Array
 from labelgen.geometry.rectification import Rectification
 from labelgen.labels import Flag, Labels
-from labelgen.masks.base import InstanceMasks
+from labelgen.masks import InstanceMasks
 
 __all__ = ["LABEL_LIMITS", "LabelLimits", "MaskReject", "label_masks"]
 

@@ -6,6 +6,7 @@ anything else stops the reading before it is called.
 
 from __future__ import annotations
 
+import importlib
 import pickle
 import struct
 from pathlib import Path
@@ -25,23 +26,39 @@ def _latin1_bytes(text: str, encoding: str = "latin1") -> bytes:
     return text.encode("latin-1")
 
 
-def _multiarray(name: str) -> Any:
-    # NumPy moved the module; the pickles keep the old name.
-    try:
-        from numpy._core import multiarray
-    except ImportError:
-        from numpy.core import multiarray  # type: ignore[no-redef]
-    return getattr(multiarray, name)
+def _bytearray(content: Any = b"", encoding: str = "latin1") -> bytearray:
+    """Stand-in for `bytearray`, which would take a number and fill the memory."""
+    if isinstance(content, str):
+        content = _latin1_bytes(content, encoding)
+    if not isinstance(content, bytes | bytearray):
+        raise DataError(f"a bytearray is made of {type(content).__name__}")
+    return bytearray(content)
 
 
-_BUILTINS = {t.__name__: t for t in (set, frozenset, bytearray, complex, list, dict, tuple, int, float, bool, str)}
+def _reconstruct(kind: Any, shape: Any, dtype: Any) -> Any:
+    """Stand-in for NumPy's: an empty array to be filled by its state, as every array's pickle begins."""
+    if kind is not np.ndarray or shape != (0,):
+        raise DataError("an array is not built the way NumPy writes it")
+    return _numpy_core("multiarray", "_reconstruct")(kind, shape, dtype)
+
+
+def _numpy_core(module: str, name: str) -> Any:
+    # NumPy moved its core; old pickles keep the old name.
+    core = importlib.import_module("numpy._core" if hasattr(np, "_core") else "numpy.core")
+    return getattr(getattr(core, module), name)
+
+
+_BUILTINS = {"set": set, "frozenset": frozenset, "complex": complex, "bytearray": _bytearray}
 
 
 def _allowed(module: str, name: str) -> Any:
     if module in ("builtins", "__builtin__"):
         return _BUILTINS.get(name)
-    if module in ("numpy.core.multiarray", "numpy._core.multiarray") and name in ("_reconstruct", "scalar"):
-        return _multiarray(name)
+    core = module.removeprefix("numpy._core.").removeprefix("numpy.core.")
+    if core != module and (core, name) == ("multiarray", "_reconstruct"):
+        return _reconstruct
+    if core != module and (core, name) in (("multiarray", "scalar"), ("numeric", "_frombuffer")):
+        return _numpy_core(core, name)
     if module == "numpy" and name in ("ndarray", "dtype"):
         return getattr(np, name)
     if (module, name) == ("_codecs", "encode"):

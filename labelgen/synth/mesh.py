@@ -1,0 +1,157 @@
+"""Triangle meshes in a vehicle's own frame: lofted shells, boxes and wheels.
+
+Convention: metres; x ahead, y left, z up; triangles anticlockwise seen from outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Chart", "Mesh", "box_mesh", "join", "loft", "wheel_mesh"]
+
+
+class Chart(IntEnum):
+    """Which drawing of the skin a triangle shows."""
+
+    SIDE = 0
+    TOP = 1
+    FRONT = 2
+    REAR = 3
+    WHEEL = 4
+    DARK = 5
+    MIRROR = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with a normal per corner and a chart each.
+
+    Args:
+        vertices: (V, 3) float64 metres.
+        triangles: (T, 3) int32.
+        normals: (T, 3, 3) float32 unit normals at the corners.
+        charts: (T,) uint8, `Chart`.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    charts: NDArray[np.uint8]
+
+
+def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArray[Any] | int, crease: float) -> Mesh:
+    """Mesh whose corner normals average the faces around a vertex that turn less than `crease` degrees."""
+    vertices = np.asarray(vertices, dtype=np.float64)
+    triangles = np.asarray(triangles, dtype=np.int32)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    area_normals = np.cross(b - a, c - a)
+    areas = np.linalg.norm(area_normals, axis=1)
+    keep = areas > 1e-9
+    triangles, area_normals, areas = triangles[keep], area_normals[keep], areas[keep]
+    charts = np.broadcast_to(np.asarray(charts, dtype=np.uint8), len(keep))[keep].copy()
+    unit = area_normals / areas[:, None]
+    # Vertices at one place count as one, so that seams of a loft stay smooth.
+    _, merged = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
+    corner_vertex = merged.ravel()[triangles].ravel()
+    order = np.argsort(corner_vertex, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(corner_vertex[order]) > 0, True])
+    normals = np.repeat(unit, 3, axis=0)
+    limit = np.cos(np.radians(crease))
+    for start, stop in zip(starts[:-1], starts[1:], strict=True):
+        corners = order[start:stop]
+        faces = corners // 3
+        near = (unit[faces] @ unit[faces].T) > limit
+        mean = near @ area_normals[faces]
+        normals[corners] = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    return Mesh(vertices, triangles, normals.reshape(-1, 3, 3).astype(np.float32), charts)
+
+
+def _charts_by_normal(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.uint8]:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    weight = np.stack([np.abs(normal[:, 1]), normal[:, 2], 0.85 * normal[:, 0], -0.85 * normal[:, 0]], axis=1)
+    charts = weight.argmax(axis=1).astype(np.uint8)
+    down = -normal[:, 2] > np.abs(normal[:, :2]).max(axis=1)
+    return np.where(down, np.uint8(Chart.DARK), charts)
+
+
+def loft(x: Sequence[float] | NDArray[Any], sections: NDArray[Any], *, crease: float = 38.0) -> Mesh:
+    """Shell through cross-sections, closed at both ends and mirrored to the other side.
+
+    Args:
+        x: (S,) metres, falling: from the front to the rear.
+        sections: (S, K, 2) metres, y >= 0 and z of the left half, from the middle of the floor over the side to the
+            middle of the roof.
+        crease: degrees; edges that turn more stay sharp.
+    """
+    half = np.asarray(sections, dtype=np.float64)
+    mirrored = half[:, -2:0:-1] * np.array([-1.0, 1.0])
+    ring = np.concatenate([half, mirrored], axis=1)
+    count, around = ring.shape[:2]
+    xs = np.broadcast_to(np.asarray(x, dtype=np.float64)[:, None, None], (count, around, 1))
+    vertices = np.concatenate([xs, ring], axis=2).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(count - 1), np.arange(around), indexing="ij")
+    a, b = i * around + j, i * around + (j + 1) % around
+    c, d = a + around, b + around
+    sides = np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+    # End caps: strips across from left to right, since the sections are not convex for a fan.
+    k = np.arange(half.shape[1] - 1)
+    left, right = k, (around - k) % around
+    left2, right2 = k + 1, (around - k - 1) % around
+    cap = np.concatenate([np.stack([left, right, right2], 1), np.stack([left, right2, left2], 1)])
+    last = (count - 1) * around
+    triangles = np.concatenate([sides[:, ::-1], cap[:, ::-1], cap + last])
+    return _with_normals(vertices, triangles, _charts_by_normal(vertices, triangles), crease)
+
+
+def box_mesh(low: Sequence[float], high: Sequence[float], *, chart: Chart | None = None) -> Mesh:
+    """Axis-aligned box between two corners."""
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [1, 5, 7, 3], [0, 2, 6, 4]])
+    triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+    charts = _charts_by_normal(corners, triangles) if chart is None else int(chart)
+    return _with_normals(corners, triangles, charts, 30.0)
+
+
+def wheel_mesh(x: float, y_out: float, radius: float, width: float, side: int, *, steps: int = 20) -> Mesh:
+    """Wheel standing on the road at `x`; `side` is +1 on the left, whose outer face lies at y = y_out."""
+    angle = np.linspace(0, 2 * np.pi, steps, endpoint=False)
+    ring = np.stack([x + radius * np.cos(angle), radius + radius * np.sin(angle)], axis=1)
+    dish = np.stack([x + 0.9 * radius * np.cos(angle), radius + 0.9 * radius * np.sin(angle)], axis=1)
+    outer, inner = side * y_out, side * (y_out - width)
+    vertices = np.concatenate(
+        [
+            np.insert(ring, 1, inner, axis=1),
+            np.insert(ring, 1, outer - side * 0.02, axis=1),
+            np.insert(dish, 1, outer, axis=1),
+            [[x, outer - side * 0.03, radius]],
+        ]
+    )
+    i = np.arange(steps)
+    j = (i + 1) % steps
+    bands = [np.stack([i + k, j + k, j + k + steps, i + k, j + k + steps, i + k + steps], 1) for k in (0, steps)]
+    hub = np.stack([i + 2 * steps, j + 2 * steps, np.full(steps, 3 * steps)], axis=1)
+    triangles = np.concatenate([bands[0].reshape(-1, 3), bands[1].reshape(-1, 3), hub])
+    if side < 0:
+        triangles = triangles[:, ::-1]
+    charts = np.full(len(triangles), Chart.WHEEL, dtype=np.uint8)
+    charts[: 2 * steps] = Chart.DARK
+    # The sense of rotation is that of a circle in x and z seen from the left: clockwise.
+    return _with_normals(vertices, triangles[:, ::-1], charts, 50.0)
+
+
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one."""
+    offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.triangles + np.int32(o) for m, o in zip(meshes, offsets, strict=True)]),
+        np.concatenate([m.normals for m in meshes]),
+        np.concatenate([m.charts for m in meshes]),
+    )

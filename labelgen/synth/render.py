@@ -1,0 +1,282 @@
+"""Vehicles into frames.
+
+A frame is the picture of the empty road, darkened by the vehicles' shadows, with the vehicles drawn over it from far
+to near, each in its own window, and then the sensor's noise. Each vehicle's mask is cut from the same samples that
+give its pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.geometry import Camera
+from labelgen.synth.light import Light
+from labelgen.synth.raster import resolve, shade, visible_triangles
+from labelgen.synth.shadow import GroundShadow, ground_shadow
+from labelgen.synth.vehicles import Vehicle
+
+__all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
+
+_MIN_DEPTH = 1.0
+_MARGIN = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A vehicle on the road.
+
+    Args:
+        track_id: number of the vehicle; its shadow is kept under it.
+        vehicle: what it is.
+        centre_xy: (2,) metres, middle of its cuboid's floor in the road frame.
+        heading: +1 away from the camera, -1 towards it.
+        speed_ms: for motion blur.
+    """
+
+    track_id: int
+    vehicle: Vehicle
+    centre_xy: NDArray[np.float64]
+    heading: int
+    speed_ms: float
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """x0, x1, y0, y1 metres on the road."""
+        half = self.vehicle.size_lwh / 2
+        x, y = self.centre_xy
+        return x - half[0], x + half[0], y - half[1], y + half[1]
+
+    def world(self) -> NDArray[np.float64]:
+        """(V, 3) vertices of its mesh in the road frame."""
+        turned = self.vehicle.mesh.vertices * np.array([self.heading, self.heading, 1.0])
+        turned[:, :2] += self.centre_xy
+        return turned
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What the truth needs to know of a vehicle in a frame.
+
+    Args:
+        track_id: number of the vehicle.
+        mask: (h, w) bool, its visible pixels.
+        origin_px: (x, y) frame px of the mask's first pixel.
+        visible: share of the pixels it would cover alone that are visible.
+        outline_xyxy: (4,) px, around its projected mesh, hidden and outside parts included.
+    """
+
+    track_id: int
+    mask: NDArray[np.bool_]
+    origin_px: tuple[int, int]
+    visible: float
+    outline_xyxy: NDArray[np.float64]
+
+
+def painting_order(vehicles: Sequence[Placed]) -> list[int]:
+    """Indices from back to front, for a camera above X = 0, Y = 0."""
+
+    def behind(a: Placed, b: Placed) -> bool:
+        """Whether `a` may be hidden by `b`."""
+        ax0, ax1, ay0, ay1 = a.bounds
+        bx0, bx1, by0, by1 = b.bounds
+        if ay0 >= by1:
+            return ay0 >= 0
+        if by0 >= ay1:
+            return ay1 <= 0
+        if ax0 >= bx1:
+            return ax0 >= 0
+        return ax1 <= 0
+
+    left = sorted(range(len(vehicles)), key=lambda i: -float(np.hypot(*vehicles[i].centre_xy)))
+    order: list[int] = []
+    while left:
+        # The first one that hides none of the others still to be drawn; cycles fall back to the farthest.
+        free = (i for i in left if not any(behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])))
+        chosen = next(free, left[0])
+        left.remove(chosen)
+        order.append(chosen)
+    return order
+
+
+class Renderer:
+    """Draws frames of one camera and one light.
+
+    Args:
+        camera: with a scale and an image size.
+        background: (H, W, 3) uint8 BGR, the empty road.
+        light: sun, sky and sensor.
+        seed: of the noise.
+        softness: sigma of the lens's blur on vehicles, px.
+    """
+
+    def __init__(
+        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int, softness: float = 0.6
+    ) -> None:
+        self.camera, self.background, self.light, self.softness = camera, background, light, softness
+        self._packed = light.packed()
+        self._shadows: dict[int, GroundShadow] = {}
+        self._rng = np.random.default_rng([seed, 77])
+        height, width = background.shape[:2]
+        self.size_wh = (width, height)
+        self._noise = self._noise_tile()
+
+    def _noise_tile(self) -> NDArray[np.uint8]:
+        """A tile of noise around 128, larger than the frame so that every frame takes another part of it."""
+        width, height = self.size_wh
+        shape = (height + 128, width + 128)
+        grey = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
+        colour = self._rng.normal(0, 0.6 * self.light.noise, (*shape, 3)).astype(np.float32)
+        colour = cv2.GaussianBlur(colour, (0, 0), 0.8) * 1.6
+        return np.clip(128 + cv2.GaussianBlur(grey, (0, 0), 0.5)[..., None] * 1.3 + colour, 0, 255).round().astype(np.uint8)
+
+    def frame(self, vehicles: Sequence[Placed], *, number: int = 0) -> tuple[NDArray[np.uint8], list[Drawn]]:
+        """One frame and the masks of the vehicles that show in it.
+
+        Args:
+            vehicles: all that may show.
+            number: picks the noise.
+
+        Returns:
+            (H, W, 3) uint8 BGR, and one `Drawn` per vehicle with at least one visible pixel.
+        """
+        image = self.background.copy()
+        ordered = [vehicles[i] for i in painting_order(vehicles)]
+        for placed in ordered:
+            self._cast_shadow(image, placed)
+        layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
+        drawn = _visible_parts(layers)
+        self._add_noise(image, number)
+        return image, drawn
+
+    def truth(self, vehicles: Sequence[Placed]) -> list[Drawn]:
+        """The masks alone, as `frame` gives them, without drawing."""
+        ordered = [vehicles[i] for i in painting_order(vehicles)]
+        return _visible_parts([x for x in (self._draw(None, placed) for placed in ordered) if x is not None])
+
+    def forget(self, track_ids: set[int]) -> None:
+        """Drop what is kept for vehicles that have gone."""
+        for track_id in track_ids:
+            self._shadows.pop(track_id, None)
+
+    def _cast_shadow(self, image: NDArray[np.uint8], placed: Placed) -> None:
+        shadow = self._shadows.get(placed.track_id)
+        if shadow is None:
+            shadow = ground_shadow(placed.vehicle, placed.heading, self.light)
+            self._shadows[placed.track_id] = shadow
+        h, w = shadow.left.shape
+        corners_map = np.array([[0, 0, 1], [w - 1, 0, 1], [w - 1, h - 1, 1], [0, h - 1, 1]], dtype=np.float64)
+        corners = (corners_map @ shadow.to_body.T)[:, :2] + placed.centre_xy
+        pixels = self.camera.project(corners)
+        if not np.isfinite(pixels).all():
+            return
+        window = self._window(pixels)
+        if window is None:
+            return
+        x0, y0, x1, y1 = window
+        matrix = cv2.getPerspectiveTransform(
+            corners_map[:, :2].astype(np.float32), (pixels - [x0 + 0.5, y0 + 0.5]).astype(np.float32)
+        )
+        left = cv2.warpPerspective(
+            shadow.left, matrix, (x1 - x0, y1 - y0), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0
+        )
+        # The picture is not linear in light: raise to the inverse of the camera's gamma.
+        factor = cv2.pow(left, 1 / 2.2)
+        part = image[y0:y1, x0:x1]
+        part[:] = cv2.multiply(part, cv2.merge([factor, factor, factor]), dtype=cv2.CV_8U)
+
+    def _window(self, pixels: NDArray[Any], margin: int = 0) -> tuple[int, int, int, int] | None:
+        low = np.floor(pixels.min(axis=0)).astype(int) - margin
+        high = np.ceil(pixels.max(axis=0)).astype(int) + margin
+        x0, y0 = max(int(low[0]), 0), max(int(low[1]), 0)
+        x1, y1 = min(int(high[0]), self.size_wh[0]), min(int(high[1]), self.size_wh[1])
+        return None if x0 >= x1 or y0 >= y1 else (x0, y0, x1, y1)
+
+    def _draw(self, image: NDArray[np.uint8] | None, placed: Placed) -> _Layer | None:
+        camera, mesh = self.camera, placed.vehicle.mesh
+        world = placed.world()
+        depth = (world - np.array([0.0, 0.0, camera.height_m])) @ camera.axes[:, 2]
+        if (depth < _MIN_DEPTH).any():
+            return None
+        pixels = camera.project(world)
+        window = self._window(pixels, _MARGIN)
+        if window is None:
+            return None
+        x0, y0, x1, y1 = window
+        size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
+        ss = 2 if max(size) > 120 else 3
+        screen = np.concatenate([pixels, depth[:, None]], axis=1)
+        ids = visible_triangles(screen, mesh.triangles, size, origin, ss, True)
+        if image is None:
+            count = (ids.reshape(size[1], ss, size[0], ss) >= 0).sum(axis=(1, 3))
+        else:
+            pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, 0.0])
+            skin = placed.vehicle.skin
+            colour = shade(
+                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, skin.maps, skin.image,
+                placed.vehicle.paint, self._packed, pose, origin, ss,
+            )  # fmt: skip
+            layer, count = resolve(colour, ids, self.light.exposure, ss)
+            layer = self._soften(layer, placed)
+            part = image[y0:y1, x0:x1]
+            kept = cv2.merge([1 - layer[..., 3]] * 3)
+            part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
+        mask = count * 2 >= ss * ss
+        outline = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+        return _Layer(placed.track_id, mask, (x0, y0), outline)
+
+    def _soften(self, layer: NDArray[np.float32], placed: Placed) -> NDArray[np.float32]:
+        """Lens blur, and motion blur along the vehicle's path in the image."""
+        layer = cv2.GaussianBlur(layer, (0, 0), self.softness)
+        x, y = placed.centre_xy
+        step = placed.speed_ms * self.light.shutter_s
+        ends = self.camera.project(np.array([[x, y, 0.5], [x + step, y, 0.5]]))
+        move = ends[1] - ends[0]
+        length = float(np.hypot(*move))
+        if not length > 0.7:
+            return layer
+        radius = int(np.ceil(length / 2))
+        kernel = np.zeros((2 * radius + 1, 2 * radius + 1), dtype=np.float32)
+        for k in np.linspace(-0.5, 0.5, 4 * radius + 1):
+            at = radius + k * move
+            cv2.circle(kernel, (int(round(at[0])), int(round(at[1]))), 0, 1.0, -1)
+        return cv2.filter2D(layer, -1, kernel / kernel.sum())
+
+    def _add_noise(self, image: NDArray[np.uint8], number: int) -> None:
+        width, height = self.size_wh
+        rng = np.random.default_rng([number, 5])
+        dx, dy = rng.integers(0, 128, 2).tolist()
+        cv2.addWeighted(image, 1.0, self._noise[dy : dy + height, dx : dx + width], 1.0, -128.0, dst=image)
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    track_id: int
+    mask: NDArray[np.bool_]
+    origin_px: tuple[int, int]
+    outline_xyxy: NDArray[np.float64]
+
+
+def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:
+    """Cut from each mask what later layers cover."""
+    drawn = []
+    for i, layer in enumerate(layers):
+        mask = layer.mask.copy()
+        alone = int(np.count_nonzero(mask))
+        x, y = layer.origin_px
+        h, w = mask.shape
+        for other in layers[i + 1 :]:
+            ox, oy = other.origin_px
+            oh, ow = other.mask.shape
+            x0, y0, x1, y1 = max(x, ox), max(y, oy), min(x + w, ox + ow), min(y + h, oy + oh)
+            if x0 < x1 and y0 < y1:
+                mask[y0 - y : y1 - y, x0 - x : x1 - x] &= ~other.mask[y0 - oy : y1 - oy, x0 - ox : x1 - ox]
+        seen = int(np.count_nonzero(mask))
+        if seen:
+            drawn.append(Drawn(layer.track_id, mask, layer.origin_px, seen / alone, layer.outline_xyxy))
+    return drawn

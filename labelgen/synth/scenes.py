@@ -1,0 +1,169 @@
+"""Places where traffic is seen: a camera, lanes, lines across the road, a road mask and a picture of the empty road."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.geometry import Camera
+
+__all__ = ["Lane", "Scene", "look_at_road", "procedural_scene", "visible_range"]
+
+LANE_WIDTH = 3.6
+FARTHEST_M = 140.0
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One lane, straight in the road frame: its middle runs through (x, y) = (0, y0) with slope dy/dx.
+
+    Args:
+        y0: metres.
+        slope: dy/dx; nearly 0.
+        heading: +1 away from the camera, -1 towards it.
+        speed_kmh: usual speed.
+        index: number in `gt_data.pkl`, None for lanes that are not measured.
+    """
+
+    y0: float
+    slope: float
+    heading: int
+    speed_kmh: float
+    index: int | None
+
+    def y(self, x: Any) -> Any:
+        """Middle of the lane at x, metres."""
+        return self.y0 + self.slope * np.asarray(x)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A place.
+
+    Args:
+        name: session name.
+        camera: with scale and image size.
+        lanes: where vehicles drive.
+        lane_lines: homogeneous px lines between the measured lanes, one more than those.
+        measurement_lines: homogeneous px lines across the road, the one crossed last first.
+        road_mask: (H, W) bool.
+        background: (H, W, 3) uint8 BGR, the empty road; None until it is drawn.
+        x_range: metres, nearest and farthest X at which vehicles are shown.
+    """
+
+    name: str
+    camera: Camera
+    lanes: tuple[Lane, ...]
+    lane_lines: tuple[NDArray[np.float64], ...]
+    measurement_lines: tuple[NDArray[np.float64], ...]
+    road_mask: NDArray[np.bool_]
+    background: NDArray[np.uint8] | None
+    x_range: tuple[float, float]
+
+
+def look_at_road(
+    height_m: float, target_xy: tuple[float, float], focal: float, size_wh: tuple[int, int], roll_deg: float = 0.0,
+    name: str = "",
+) -> Camera:  # fmt: skip
+    """Camera `height_m` above the road frame's origin that looks at a point of the road.
+
+    Args:
+        height_m: metres.
+        target_xy: metres in the road frame.
+        focal: px.
+        size_wh: frame size; the principal point lies in its middle.
+        roll_deg: turn around the optical axis.
+        name: of the camera.
+    """
+    ahead = np.array([*target_xy, -height_m], dtype=np.float64)
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(ahead, right)
+    angle = np.radians(roll_deg)
+    right, down = np.cos(angle) * right + np.sin(angle) * down, np.cos(angle) * down - np.sin(angle) * right
+    # Rows: camera axes in the road frame. Columns then are the road's directions in camera axes.
+    axes = np.stack([right, down, ahead])
+    pp = np.array(size_wh) / 2
+    vp1, vp2 = (pp + focal * axes[:2, k] / axes[2, k] for k in (0, 1))
+    unit = Camera(vp1, vp2, pp, 1.0)
+    return Camera(vp1, vp2, pp, height_m / unit.height_m, image_wh=size_wh, name=name)
+
+
+def visible_range(camera: Camera, y: float, far_m: float = FARTHEST_M) -> tuple[float, float] | None:
+    """Nearest and farthest X at which a point of the road at this Y lies in the frame; None where none does."""
+    assert camera.image_wh is not None
+    x = np.arange(-30.0, far_m, 0.5)
+    pixels = camera.project(np.stack([x, np.full_like(x, y)], axis=1))
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(axis=1) & (pixels <= camera.image_wh).all(axis=1)
+    if not inside.any():
+        return None
+    seen = np.flatnonzero(inside)
+    return float(x[seen[0]]), float(x[seen[-1]])
+
+
+def _line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]) -> NDArray[np.float64]:
+    """Homogeneous px line through two points of the road, its normal of unit length."""
+    p, q = camera.project(np.array([a, b]))
+    line = np.cross([*p, 1.0], [*q, 1.0])
+    out: NDArray[np.float64] = line / np.hypot(line[0], line[1])
+    return out
+
+
+def procedural_scene(
+    rng: np.random.Generator, size_wh: tuple[int, int], *, heading: int | None = None, name: str = "synthetic",
+    both_ways: bool = False,
+) -> Scene:  # fmt: skip
+    """A made-up road with two to four lanes, some with a second carriageway, without a picture.
+
+    Args:
+        rng: decides everything.
+        size_wh: frame size.
+        heading: of the measured carriageway; at random when None.
+        name: of the session and its camera.
+        both_ways: always have a second carriageway; otherwise most scenes do.
+    """
+    lanes_here = int(rng.integers(2, 4))
+    heading = int(rng.choice([-1, 1], p=[0.7, 0.3])) if heading is None else heading
+    height = rng.uniform(5.5, 11.5)
+    middle = rng.uniform(-7.0, 7.0)
+    distance = height / np.tan(np.radians(rng.uniform(14, 24)))
+    focal = size_wh[0] * np.exp(rng.uniform(np.log(0.95), np.log(1.55)))
+    camera = look_at_road(height, (distance, middle * 0.8), focal, size_wh, rng.uniform(-1.2, 1.2), name)
+
+    # Right-hand traffic: traffic that comes towards the camera drives on its left.
+    edges = middle + LANE_WIDTH * (np.arange(lanes_here + 1) - lanes_here / 2)
+    lanes = []
+    for k in range(lanes_here):
+        fast = k if heading < 0 else lanes_here - 1 - k
+        speed = 78 + 14 * (lanes_here - 1 - fast if heading < 0 else fast)
+        lanes.append(Lane((edges[k] + edges[k + 1]) / 2, 0.0, heading, float(speed), k))
+    if rng.random() < 0.7 or both_ways:
+        gap = rng.uniform(0.3, 3.0)
+        side = -1 if heading < 0 else 1
+        start = (edges[0] if side < 0 else edges[-1]) + side * gap
+        lanes += [Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)]
+    near, far = visible_range(camera, middle) or (distance - 5, distance + 30)
+    near = max(near, 2.0) + 3.0
+    far = min(far - 3.0, near + 60.0)
+    marks = np.linspace(near + 2, far - 2, 3)
+    across = [_line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
+    along = [_line_through(camera, (near, y), (far, y)) for y in edges]
+    mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
+    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, FARTHEST_M))
+
+
+def _carriageway_mask(camera: Camera, y0: float, y1: float, x0: float, x1: float) -> NDArray[np.bool_]:
+    import cv2
+
+    assert camera.image_wh is not None
+    x = np.linspace(x0, x1, 60)
+    border = np.concatenate([np.stack([x, np.full_like(x, y0)], 1), np.stack([x, np.full_like(x, y1)], 1)[::-1]])
+    pixels = camera.project(border)
+    mask = np.zeros(camera.image_wh[::-1], dtype=np.uint8)
+    cv2.fillPoly(mask, [np.round(pixels[np.isfinite(pixels).all(axis=1)]).astype(np.int32)], 1)
+    return mask.astype(np.bool_)

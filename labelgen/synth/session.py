@@ -1,0 +1,285 @@
+"""A synthetic recording in the layout of BrnoCompSpeed, with its exact truth beside it."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import OutputError
+from labelgen.synth.light import Light, Weather, make_light
+from labelgen.synth.render import Drawn, Placed, Renderer
+from labelgen.synth.road import draw_road
+from labelgen.synth.scenes import Scene, procedural_scene, visible_range
+from labelgen.synth.traffic import Trip, random_traffic
+from labelgen.synth.truth import TruthWriter
+from labelgen.synth.vehicles import Vehicle
+
+__all__ = ["SessionSummary", "place", "write_session"]
+
+
+@dataclass(frozen=True)
+class SessionSummary:
+    """What was written.
+
+    Args:
+        name: of the session.
+        frames: rendered.
+        vehicles: that drove.
+        masks: in all frames together.
+        complete: False after an interruption.
+        files: name -> path.
+    """
+
+    name: str
+    frames: int
+    vehicles: int
+    masks: int
+    complete: bool
+    files: dict[str, str]
+
+
+def place(trip: Trip, vehicle: Vehicle, time_s: float) -> Placed:
+    """Where a vehicle is at a time."""
+    near = trip.near_point(time_s)
+    centre = near + np.array([trip.size_lwh[0] / 2, 0.0])
+    return Placed(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s))
+
+
+def write_session(
+    out: Path,
+    *,
+    duration_s: float = 20.0,
+    fps: float = 25.0,
+    size_wh: tuple[int, int] = (1920, 1080),
+    seed: int = 0,
+    name: str = "session0_center",
+    weather: Weather | None = None,
+    per_minute: float = 18.0,
+    kinds: Sequence[str] | None = None,
+    heading: int | None = None,
+    scene: Path | None = None,
+    replay: bool = False,
+    start_s: float | None = None,
+    video: bool = True,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> SessionSummary:
+    """Write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`.
+
+    Args:
+        out: root of the tree.
+        duration_s: length.
+        fps: frames per second.
+        size_wh: frame size; with `scene` that of its picture.
+        seed: everything that varies comes from it.
+        name: of the session; with `scene` that of the real one.
+        weather: light; at random when None, overcast with `scene`.
+        per_minute: vehicles per lane and minute.
+        kinds: body types to use; by their shares in traffic when None.
+        heading: +1 traffic drives away, -1 it comes closer; at random when None. Not with `scene`.
+        scene: folder of a real session, `ROOT/dataset/sessionN_x`.
+        replay: re-enact the scene's recorded traffic.
+        start_s: with `replay`, where in the recording to begin; shortly before the first recorded crossing when None.
+        video: whether to render; without, only boxes and tracks are written.
+        overwrite: whether an existing session may be replaced.
+        progress: show a bar.
+
+    Raises:
+        OutputError: the session exists, or cannot be written.
+        DataError: the scene cannot be read, or nothing is known of its traffic.
+    """
+    rng = np.random.default_rng([seed, 1])
+    if scene is None:
+        if replay:
+            raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
+        place_of = procedural_scene(rng, size_wh, heading=heading, name=name)
+        light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.4, 0.35, 0.1, 0.15]))], rng)
+        place_of = replace(place_of, background=draw_road(place_of, light, rng))
+        trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+        surveyed = None
+    else:
+        from labelgen.synth.replay import load_scene, replayed_traffic
+
+        place_of, light, surveyed = load_scene(scene, weather or Weather.OVERCAST, rng)
+        name = place_of.name
+        if replay:
+            trips = replayed_traffic(place_of, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+        else:
+            trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+    folders = {part: out / part / name for part in ("dataset", "results", "truth")}
+    for folder in folders.values():
+        if folder.exists() and any(folder.iterdir()) and not overwrite:
+            raise OutputError(f"{folder}: it exists already; use --overwrite or another --out")
+        folder.mkdir(parents=True, exist_ok=True)
+    assert place_of.background is not None
+    cv2.imwrite(str(folders["dataset"] / "video_mask.png"), place_of.road_mask.astype(np.uint8) * 255)
+    cv2.imwrite(str(folders["dataset"] / "screen.png"), place_of.background)
+    complete, frames, masks, cars = _render(
+        folders, place_of, light, trips, round(duration_s * fps), fps, seed, video=video, progress=progress
+    )
+    calibration = place_of.camera.to_dict()
+    _write_json(folders["results"] / "system_truth.json", {**calibration, "cars": cars})
+    _write_json(folders["results"] / "system_optimal_calibration.json", calibration)
+    gt = ground_truth(place_of, trips, frames / fps, fps, surveyed)
+    with (folders["dataset"] / "gt_data.pkl").open("wb") as file:
+        pickle.dump(gt, file, protocol=2)
+    files = {
+        "video": folders["dataset"] / "video.avi",
+        "calibration": folders["results"] / "system_optimal_calibration.json",
+        "tracks": folders["results"] / "system_truth.json",
+        "masks": folders["truth"] / "masks.json",
+        "boxes": folders["truth"] / "boxes.jsonl",
+    }
+    return SessionSummary(
+        name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()}
+    )
+
+
+def _render(
+    folders: dict[str, Path], scene: Scene, light: Light, trips: Sequence[Trip], count: int, fps: float, seed: int, *,
+    video: bool, progress: bool,
+) -> tuple[bool, int, int, list[dict[str, Any]]]:  # fmt: skip
+    from contextlib import ExitStack
+
+    from tqdm import tqdm
+
+    from labelgen.synth.video import VideoWriter
+
+    assert scene.background is not None
+    done, masks, complete = 0, 0, True
+    spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
+    vehicles: dict[int, Vehicle] = {}
+    with ExitStack() as stack:
+        truth = stack.enter_context(TruthWriter(folders["truth"], scene.camera, fps))
+        truth.describe(trips)
+        renderer = Renderer(scene.camera, scene.background, light, seed=seed)
+        path = folders["dataset"] / "video.avi"
+        writer = stack.enter_context(VideoWriter(path, fps, renderer.size_wh)) if video else None
+        bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
+        try:
+            for number in range(count):
+                time_s = number / fps
+                here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
+                drawn: list[Drawn] | None = None
+                if writer is not None:
+                    ids = {t.track_id for t in here}
+                    renderer.forget({k for k in vehicles if k not in ids})
+                    vehicles = {
+                        t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here
+                    }
+                    placed = [place(t, vehicles[t.track_id], time_s) for t in here]
+                    image, drawn = renderer.frame(placed, number=number)
+                    writer.write(image)
+                    masks += len(drawn)
+                truth.add(number, here, drawn)
+                done += 1
+                bar.update()
+        except KeyboardInterrupt:
+            # What is written so far is a shorter recording, complete in itself.
+            complete = False
+        cars = truth.result_cars()
+    return complete, done, masks, cars
+
+
+def _write_json(path: Path, data: Any) -> None:
+    path.write_text(json.dumps(data) + "\n", encoding="utf-8")
+
+
+def _crossing_x(scene: Scene, line: NDArray[Any], trip: Trip) -> float:
+    """X at which a vehicle's measured point crosses a line of the image."""
+    # In the road frame the image of the path is a straight line: cut it with the line through two of its pixels.
+    ends = np.array([[1.0, float(trip.lane.y(1.0)) + trip.offset_y], [60.0, float(trip.lane.y(60.0)) + trip.offset_y]])
+    camera = scene.camera
+    to_image = _road_to_image(camera)
+    normal = to_image.T @ line
+    a, b = (float(normal @ [*end, 1.0]) for end in ends)
+    return float(ends[0, 0] + (ends[1, 0] - ends[0, 0]) * a / (a - b))
+
+
+def _road_to_image(camera: Any) -> NDArray[np.float64]:
+    """Homography from the road, metres, to the image, px."""
+    rotation = camera.axes.T
+    intrinsic = np.array([[camera.focal, 0, camera.pp[0]], [0, camera.focal, camera.pp[1]], [0, 0, 1.0]])
+    origin = -rotation @ np.array([0.0, 0.0, camera.height_m])
+    out: NDArray[np.float64] = intrinsic @ np.stack([rotation[:, 0], rotation[:, 1], origin], axis=1)
+    return out
+
+
+def ground_truth(
+    scene: Scene, trips: Sequence[Trip], duration_s: float, fps: float, surveyed: dict[str, Any] | None
+) -> dict[str, Any]:
+    """The content of `gt_data.pkl`: the speeds as rendered.
+
+    A car is listed when it crosses the last line while the recording runs, and valid when all its crossings fall
+    into the recording.
+
+    Args:
+        scene: lines and lanes.
+        trips: all vehicles.
+        duration_s: length of the recording.
+        fps: frames per second.
+        surveyed: a real session's `gt_data.pkl`, whose surveyed distances are kept; None for a made-up scene.
+    """
+    cars = []
+    for trip in trips:
+        if trip.car_id is None:
+            continue
+        times = {}
+        for number, line in enumerate(scene.measurement_lines):
+            time = trip._time_at(_crossing_x(scene, line, trip))
+            if 0 <= time < duration_s:
+                times[number] = time
+        if 0 not in times:
+            continue
+        last = len(scene.measurement_lines) - 1
+        valid = len(times) == last + 1
+        speed = 0.0
+        if valid:
+            ends = [trip.near_point(times[k]) for k in (0, last)]
+            speed = float(np.linalg.norm(ends[0] - ends[1])) / abs(times[0] - times[last]) * 3.6
+        cars.append(
+            {
+                "carId": trip.car_id,
+                "speed": speed,
+                "laneIndex": {trip.lane.index},
+                "valid": valid,
+                "acceleration": 0.0,
+                "timeIntersectionLastShifted": times[0],
+                "intersections": [
+                    {"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)
+                ],
+            }
+        )
+    cars.sort(key=lambda car: car["timeIntersectionLastShifted"])  # type: ignore[arg-type, return-value]
+    return {
+        "fps": float(fps),
+        "cars": cars,
+        "measurementLines": [np.asarray(line, dtype=np.float64) for line in scene.measurement_lines],
+        "laneDivLines": [np.asarray(line, dtype=np.float64) for line in scene.lane_lines],
+        "invalidLanes": set() if surveyed is None else set(surveyed["invalidLanes"]),
+        "distanceMeasurement": _distances(scene) if surveyed is None else surveyed["distanceMeasurement"],
+    }
+
+
+def _distances(scene: Scene) -> list[dict[str, Any]]:
+    """Distances between road points of a made-up scene, as a surveyor would have taken them."""
+    measured = [lane for lane in scene.lanes if lane.index is not None]
+    low, high = min(lane.y0 for lane in measured) - 1.8, max(lane.y0 for lane in measured) + 1.8
+    near, far = visible_range(scene.camera, (low + high) / 2) or (10.0, 40.0)
+    marks = np.linspace(near + 4, min(far - 4, near + 45), 4)
+    pairs = [((marks[k], y), (marks[k + 1], y), True) for k in range(3) for y in (low, high)]
+    pairs += [((x, low), (x, high), False) for x in marks]
+    out = []
+    for a, b, along in pairs:
+        p, q = scene.camera.project(np.array([a, b]))
+        distance = float(np.hypot(a[0] - b[0], a[1] - b[1]))
+        out.append({"p1": np.append(p, 1.0), "p2": np.append(q, 1.0), "distance": distance, "toVP1": along})
+    return out

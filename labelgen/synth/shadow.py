@@ -1,0 +1,94 @@
+"""Shadows on the road, drawn once per vehicle as a map around it.
+
+A vehicle keeps its heading and the sun its place, so how much light reaches each spot of the road beneath and
+beside it does not change while it drives: the map is drawn in metres and then only warped into the frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.synth.light import Light
+from labelgen.synth.vehicles import Vehicle
+
+__all__ = ["GroundShadow", "ground_shadow"]
+
+_CELL = 0.04
+_SKY_DIRECTIONS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class GroundShadow:
+    """Light that is left on the road around a vehicle.
+
+    Args:
+        left: (h, w) float32, share of the open road's light, 1 at the border.
+        to_body: (3, 3) map px -> metres x, y in the road frame relative to the vehicle's origin.
+    """
+
+    left: NDArray[np.float32]
+    to_body: NDArray[np.float64]
+
+
+def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
+    """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less."""
+    points = vehicle.mesh.vertices
+    length = vehicle.size_lwh[0]
+    edges = np.linspace(-length / 2, length / 2, 7)
+    pieces = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        piece = points[(points[:, 0] >= low - 0.2) & (points[:, 0] <= high + 0.2)]
+        if len(piece) > 3:
+            pieces.append(piece)
+    return pieces or [points]
+
+
+def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
+    """Shadow map of a vehicle that drives towards +X (heading 1) or -X (heading -1)."""
+    pieces = [p * np.array([heading, heading, 1.0]) for p in _hulls(vehicle)]
+    sun, top = light.sun_direction, vehicle.size_lwh[2]
+    strength = light.sun * max(sun[2], 0.0)
+    sun_share = float(strength.sum() / (strength.sum() + light.ambient.sum()))
+    reach = top * np.hypot(sun[0], sun[1]) / max(sun[2], 0.15) if sun_share > 0.02 else 0.0
+    half = vehicle.size_lwh[:2] / 2 + 1.2 + reach
+    w, h = (int(np.ceil(2 * v / _CELL)) for v in half)
+    left = np.zeros((h, w), dtype=np.float32)
+
+    def cast(direction: NDArray[Any]) -> NDArray[np.uint8]:
+        mask = np.zeros((h, w), dtype=np.uint8)
+        for piece in pieces:
+            foot = piece[:, :2] - piece[:, 2:] * (direction[:2] / direction[2])
+            pixels = np.round((foot + half) / _CELL * 16).astype(np.int32)
+            cv2.fillConvexPoly(mask, cv2.convexHull(pixels), 255, cv2.LINE_AA, 4)
+        return mask
+
+    # The sky as a ring of directions at two heights, weighted by the cosine to the vertical.
+    total = 0.0
+    for tilt in (20.0, 48.0, 70.0):
+        for k in range(_SKY_DIRECTIONS // 3):
+            angle = 2 * np.pi * (k + tilt / 90) / (_SKY_DIRECTIONS // 3)
+            s, c = np.sin(np.radians(tilt)), np.cos(np.radians(tilt))
+            weight = s * c
+            left += weight * (255 - cast(np.array([s * np.cos(angle), s * np.sin(angle), c]))).astype(np.float32)
+            total += weight
+    left *= (1 - sun_share) / (255 * total)
+    left = cv2.GaussianBlur(left, (0, 0), 0.12 / _CELL)
+    if sun_share > 0.02:
+        direction = np.array([sun[0], sun[1], max(sun[2], 0.15)])
+        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.03 / _CELL)
+        left += sun_share * lit.astype(np.float32) / 255
+    else:
+        left += sun_share
+    # Fade to open road at the border of the map.
+    margin = np.minimum(
+        np.minimum(np.arange(w), np.arange(w)[::-1])[None], np.minimum(np.arange(h), np.arange(h)[::-1])[:, None]
+    )
+    fade = np.clip(margin / (0.5 / _CELL), 0, 1).astype(np.float32)
+    left = 1 - fade * (1 - left)
+    to_body = np.array([[_CELL, 0, -half[0] + _CELL / 2], [0, _CELL, -half[1] + _CELL / 2], [0, 0, 1]])
+    return GroundShadow(left.astype(np.float32), to_body)

@@ -1,0 +1,101 @@
+"""Vehicles ready to be drawn: mesh, skin and paint, made from a body type and a random generator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError
+from labelgen.labels import VehicleClass
+from labelgen.synth.bodies import body_mesh
+from labelgen.synth.mesh import Mesh, box_mesh
+from labelgen.synth.raster import PAINT
+from labelgen.synth.shapes import BODY_TYPES, sample_shape
+from labelgen.synth.skin import Skin, draw_skin
+
+__all__ = ["Vehicle", "body_kinds", "make_vehicle"]
+
+# Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
+_PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
+    ((0.70, 0.71, 0.70), 0.0, 0.20),
+    ((0.42, 0.43, 0.44), 0.7, 0.17),
+    ((0.14, 0.145, 0.15), 0.6, 0.19),
+    ((0.018, 0.018, 0.020), 0.3, 0.18),
+    ((0.025, 0.05, 0.16), 0.5, 0.10),
+    ((0.10, 0.17, 0.30), 0.6, 0.03),
+    ((0.36, 0.022, 0.022), 0.2, 0.06),
+    ((0.03, 0.10, 0.05), 0.3, 0.02),
+    ((0.28, 0.22, 0.14), 0.6, 0.03),
+    ((0.55, 0.30, 0.03), 0.1, 0.01),
+    ((0.60, 0.50, 0.08), 0.0, 0.01),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """One vehicle.
+
+    Args:
+        kind: body type, a key of `BODY_TYPES`, or "box".
+        vehicle_class: for labels.
+        size_lwh: (3,) metres, the bounding cuboid of the mesh, mirrors included.
+        mesh: around the middle of the cuboid's floor.
+        skin: what is painted on it.
+        paint: (5,) see `raster.shade`.
+    """
+
+    kind: str
+    vehicle_class: VehicleClass
+    size_lwh: NDArray[np.float64]
+    mesh: Mesh
+    skin: Skin
+    paint: NDArray[np.float64]
+
+
+def body_kinds(longest_m: float = np.inf) -> tuple[list[str], NDArray[np.float64]]:
+    """Body types no longer than this and their shares in traffic, which sum to 1."""
+    kinds = [kind for kind, shape in BODY_TYPES.items() if shape.length * 1.05 <= longest_m] or ["supermini"]
+    shares = np.array([BODY_TYPES[kind].share for kind in kinds])
+    return kinds, shares / shares.sum()
+
+
+def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) -> Vehicle:
+    """A vehicle of a body type, with its own proportions, colour and details.
+
+    Args:
+        kind: a key of `BODY_TYPES`, or "box": a plain cuboid, whose outline is that of its 3D box.
+        rng: everything that varies comes from it.
+        lamps: whether its lamps are on.
+
+    Raises:
+        DataError: no such body type.
+    """
+    tone, metal, _ = _PAINTS[rng.choice(len(_PAINTS), p=_shares())]
+    colour = tuple(np.clip(np.array(tone) * rng.uniform(0.8, 1.15), 0, 0.75).tolist())
+    if kind == "box":
+        size = rng.uniform([3.6, 1.65, 1.4], [5.0, 1.95, 2.2])
+        half = size / 2
+        mesh = box_mesh((-half[0], -half[1], 0), (half[0], half[1], size[2]))
+        skin = Skin(size)
+        skin.image[:] = (*(round(255 * c**0.5) for c in colour), PAINT)
+        return Vehicle(kind, VehicleClass.VEHICLE, size, mesh, skin, np.array([metal, 1.0, 0.9, 0.0, 0.0]))
+    if kind not in BODY_TYPES:
+        raise DataError(f"body type {kind!r}: unknown; use one of {', '.join(BODY_TYPES)}")
+    if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
+        colour, metal = (0.68, 0.68, 0.67), 0.0
+    shape = sample_shape(kind, rng)
+    mesh = body_mesh(shape)
+    size = np.ptp(mesh.vertices, axis=0)
+    cargo_tones: Any = [(0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10)]
+    cargo = cargo_tones[rng.choice(5, p=[0.5, 0.15, 0.15, 0.1, 0.1])]
+    skin = draw_skin(shape, size, colour, cargo, rng, lamps=lamps)
+    paint = np.array([metal, rng.uniform(0.7, 1.0), 0.9, float(lamps), rng.uniform(0.1, 0.5)])
+    return Vehicle(kind, shape.vehicle_class, size, mesh, skin, paint)
+
+
+def _shares() -> NDArray[np.float64]:
+    shares = np.array([share for _, _, share in _PAINTS])
+    return shares / shares.sum()
