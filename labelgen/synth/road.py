@@ -166,7 +166,9 @@ def _backdrop(
     borders = _edges(scene)
     outer = (min(b[0] for b in borders) - rng.uniform(7, 16), max(b[1] for b in borders) + rng.uniform(7, 16))
     origin = np.array([0.0, 0.0, camera.height_m])
-    rays = np.stack([columns - camera.pp[0], rows - camera.pp[1], np.full_like(columns, camera.focal)], -1) @ camera.axes.T
+    rays = (
+        np.stack([columns - camera.pp[0], rows - camera.pp[1], np.full_like(columns, camera.focal)], -1) @ camera.axes.T
+    )
     for side in outer:
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (side - origin[1]) / rays[..., 1]
@@ -186,7 +188,11 @@ def _guard_rails(scene: Scene, light: Light, image: NDArray[np.float32]) -> NDAr
     camera = scene.camera
     low, high, _ = _edges(scene)[0]
     rails = []
-    for y in (low - 2.9, high + 2.9) if len(_edges(scene)) == 1 else (low - 2.9 if scene.lanes[0].heading > 0 else high + 2.9,):
+    for y in (
+        (low - 2.9, high + 2.9)
+        if len(_edges(scene)) == 1
+        else (low - 2.9 if scene.lanes[0].heading > 0 else high + 2.9,)
+    ):
         for x in np.arange(2.0, 160.0, 4.0):
             rails.append(box_mesh((x, y - 0.03, 0.45), (x + 4.0, y + 0.03, 0.75)))
             rails.append(box_mesh((x, y - 0.05, 0.0), (x + 0.1, y + 0.05, 0.55)))
@@ -199,7 +205,9 @@ def _guard_rails(scene: Scene, light: Light, image: NDArray[np.float32]) -> NDAr
     assert size is not None
     ids = visible_triangles(screen, mesh.triangles, size, (0.0, 0.0), ss, True)
     normals = mesh.normals.mean(axis=1)
-    lit = np.clip(normals @ light.sun_direction, 0, 1)[:, None] * light.sun + (0.5 + 0.5 * normals[:, 2:]) * light.ambient
+    lit = (
+        np.clip(normals @ light.sun_direction, 0, 1)[:, None] * light.sun + (0.5 + 0.5 * normals[:, 2:]) * light.ambient
+    )
     steel = np.array([0.36, 0.37, 0.38]) * lit * light.exposure
     tone = (255 * np.clip(steel, 0, 1) ** (1 / 2.2))[:, ::-1].astype(np.float32)
     cover = (ids >= 0).astype(np.float32)[..., None]
