@@ -1,0 +1,138 @@
+"""From an image and its empty scene to the silhouettes of the vehicles in it.
+
+A change can be vehicle or cast shadow. A shadow darkens without changing colour and without adding texture, so what is
+brighter, coloured, darker than the scene's shadows, or textured *inside* a changed region is evidence for a vehicle;
+the silhouette is what the evidence spans within the change. An outline alone is no evidence: shadows have one too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.masks.background_model import BackgroundModel, is_ghost
+
+__all__ = ["Silhouette", "evidence_maps", "find_silhouettes"]
+
+Image = NDArray[np.uint8]
+Mask = NDArray[np.uint8]
+BoolMask = NDArray[np.bool_]
+
+_MIN_AREA_SHARE = 0.0006
+# Blurred borders are cut where the difference falls below this share of what it is 2 px further inside.
+_BORDER_SHARE = 0.35
+_RIM = 2
+_BLACK = (0.38, 0.7)
+_COLOUR_LEVELS = 14.0
+_TEXTURE_LEVELS = 22
+# Share of a changed region that evidence must span; below it vehicle and shadow look the same and both are kept.
+_SPANNED = 0.35
+_SOLID = 0.6
+# Half the width of the thickest part, relative to the side of the smallest vehicle: edges of lane lines are thinner.
+_THICK = 0.3
+_PAD = 16
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """One vehicle: origin px (x, y) of the crop, the crop (h, w) bool, and which share of it differs from the scene."""
+
+    origin: tuple[int, int]
+    crop: BoolMask
+    score: float
+
+
+def _disc(size: float) -> Mask:
+    size = max(1, int(size)) | 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
+
+
+def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask]:
+    """Changed pixels, and those of them that no shadow explains; (H, W) uint8 of 0 and 1 each."""
+    expected = model.expected(image)
+    threshold = model.threshold(expected)
+    smooth = cv2.blur(image, (3, 3)).astype(np.float32)
+    difference = np.abs(smooth - expected).max(axis=2)
+    changed = difference > np.maximum(threshold, _BORDER_SHARE * cv2.dilate(difference, _disc(5)))
+    changed_u8 = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+
+    light, light_before = smooth.mean(axis=2), expected.mean(axis=2)
+    ratio = (light + 4) / (light_before + 4)
+    brighter = light - light_before > threshold
+    black = ratio < min(_BLACK[0], _BLACK[1] * model.shadow)
+    colour = np.abs(smooth - expected * ratio[..., None]).max(axis=2) > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
+    inside = cv2.erode(changed_u8, _disc(2 * _RIM + 1), borderValue=1)
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    lightest = cv2.dilate(grey * inside, np.ones((3, 3), np.uint8))
+    darkest = cv2.erode(np.where(inside > 0, grey, 255).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=255)
+    textured = (lightest.astype(np.int16) - darkest > _TEXTURE_LEVELS) & (inside > 0)
+    return changed_u8, changed_u8 & (brighter | black | colour | textured)
+
+
+def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
+    """The vehicles' silhouettes in an image (H, W, 3) uint8 BGR that lies on the model (`BackgroundModel.align`)."""
+    assert model.background is not None
+    changed, evidence = evidence_maps(image, model)
+    min_area = _MIN_AREA_SHARE * changed.size
+    found = []
+    joined = cv2.morphologyEx(changed, cv2.MORPH_CLOSE, _disc(5))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
+    for i in range(1, count):
+        x, y, w, h, area = stats[i].tolist()
+        if area < min_area:
+            continue
+        here = np.s_[y : y + h, x : x + w]
+        region = (labels[here] == i).view(np.uint8)
+        for part in _vehicles(region, evidence[here] & region, min_area):
+            px, py, pw, ph = cv2.boundingRect(part)
+            around = np.s_[max(0, y + py - 3) : y + py + ph + 3, max(0, x + px - 3) : x + px + pw + 3]
+            whole = np.zeros_like(changed[around])
+            oy, ox = y + py - around[0].start, x + px - around[1].start
+            crop = part[py : py + ph, px : px + pw]
+            whole[oy : oy + ph, ox : ox + pw] = crop
+            if is_ghost(whole > 0, image[around], model.background[around]):
+                continue
+            score = float((changed[here][py : py + ph, px : px + pw] & crop).sum() / crop.sum())
+            found.append(Silhouette((x + px, y + py), crop > 0, score))
+    return found
+
+
+def _vehicles(region: Mask, evidence: Mask, min_area: float) -> list[Mask]:
+    """The vehicles in one changed region (h, w)."""
+    region, evidence = np.pad(region, _PAD), np.pad(evidence, _PAD)
+    region_area = int(region.sum())
+    reach = min(max(5, 0.3 * np.sqrt(region_area)), 2 * _PAD - 1)
+    spanned = cv2.morphologyEx(evidence, cv2.MORPH_CLOSE, _disc(reach)) & region
+    spanned = cv2.morphologyEx(spanned, cv2.MORPH_OPEN, _disc(3))
+    if spanned.sum() < _SPANNED * region_area:
+        spanned = region
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(spanned)
+    out = []
+    for i in range(1, count):
+        if stats[i, cv2.CC_STAT_AREA] < 0.5 * min_area:
+            continue
+        part = cv2.dilate((labels == i).view(np.uint8), _disc(2 * _RIM + 1)) & region
+        silhouette = _smooth(part, region)
+        if silhouette is None or silhouette.sum() < min_area:
+            continue
+        if cv2.distanceTransform(silhouette, cv2.DIST_L2, 3).max() >= _THICK * np.sqrt(min_area):
+            out.append(silhouette[_PAD:-_PAD, _PAD:-_PAD])
+    return [part for part in out if part.any()]
+
+
+def _smooth(part: Mask, region: Mask) -> Mask | None:
+    """The part without spurs and dents, or None if it is no solid shape."""
+    part = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(3, 0.12 * np.sqrt(part.sum()))))
+    contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return None
+    contour = max(contours, key=cv2.contourArea)
+    hull = cv2.convexHull(contour)
+    if cv2.contourArea(contour) < _SOLID * cv2.contourArea(hull):
+        return None
+    filled = np.zeros_like(part)
+    cv2.drawContours(filled, [hull], -1, 1, cv2.FILLED)
+    return filled
