@@ -34,6 +34,7 @@ class RecordingScore:
         truth_kmh: (G,) true speeds.
         valid: (G,) whether the ground-truth car counts.
         matched: (G,) whether a track was found for it.
+        counted: (G,) whose speed errors count: the matched, valid ones, or fewer of them.
         speeds_kmh: (G,) measured speed of that track; NaN where there is none.
         false_positives: tracks without a ground-truth car, `intersection_failures` among them.
         intersection_failures: tracks whose crossings or speed could not be determined.
@@ -48,6 +49,7 @@ class RecordingScore:
     truth_kmh: Array
     valid: NDArray[np.bool_]
     matched: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
     speeds_kmh: Array
     false_positives: int
     intersection_failures: int
@@ -92,14 +94,18 @@ def lanes_of(points_px: Array, lane_lines: Array) -> IntArray:
     return lane
 
 
+def _inside_frame(points_px: Array) -> NDArray[np.bool_]:
+    inside = (points_px > BORDER_PX) & (points_px < np.array(FRAME_WH) - BORDER_PX)
+    return inside[:, 0] & inside[:, 1]
+
+
 def prefilter(tracks: Tracks, truth: GroundTruth) -> Tracks:
     """The tracks the protocol counts, without their points near the frame's border."""
     if not len(tracks):
         return tracks
     first_seen_s = tracks.frames[tracks.offsets[:-1]] / truth.fps
     tracks = tracks.keep_tracks(first_seen_s < truth.last_times_s.max(), "after the ground truth")
-    inside = (tracks.points_px > BORDER_PX) & (tracks.points_px < np.array(FRAME_WH) - BORDER_PX)
-    tracks = tracks.keep_points(inside.all(axis=1))
+    tracks = tracks.keep_points(_inside_frame(tracks.points_px))
     tracks = tracks.keep_tracks(tracks.lengths >= _FIT_POINTS, "too few points")
 
     lane = lanes_of(tracks.points_px, truth.lane_lines)
@@ -231,6 +237,7 @@ def score_recording(truth: GroundTruth, tracks: Tracks, camera: Camera) -> Recor
         truth_kmh=truth.speeds_kmh,
         valid=truth.valid,
         matched=matched,
+        counted=matched & truth.valid,
         speeds_kmh=measured,
         false_positives=unmatched + failures,
         intersection_failures=failures,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
-from labelgen.errors import OutputError
+from labelgen.files import write_atomic
 from labelgen.geometry.projective import Array
 
 __all__ = ["plot_cumulative_errors"]
@@ -21,7 +22,7 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
 
     Args:
         errors: by system, (n,) absolute errors in `unit`; a system without errors is named in the legend only.
-        path: picture file; its ending chooses the format.
+        path: picture file, its folder being there; its ending (.png, .pdf, .svg) chooses the format.
         unit: "km/h" or "%".
 
     Raises:
@@ -59,8 +60,6 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
     axes.set_xlabel(f"absolute speed error up to [{unit}]" if unit == "km/h" else "relative speed error up to [%]")
     axes.set_ylabel("share of matched vehicles")
     axes.legend(loc="lower right" if top > 3 * _LEGAL_KMH else "best", fontsize=9)
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=150)
-    except OSError as err:
-        raise OutputError(f"plot {path}: {err.strerror or err}") from None
+    picture = BytesIO()
+    figure.savefig(picture, format=Path(path).suffix[1:], dpi=150)
+    write_atomic(Path(path), picture.getvalue())

@@ -46,7 +46,8 @@ def nearest_rows(distances: Array, offsets: IntArray, count: int) -> IntArray:
         count: how many rows to take.
     """
     order = np.lexsort((distances, owners(offsets)))
-    return order[offsets[:-1, None] + np.arange(count)]
+    rows: IntArray = order[offsets[:-1, None] + np.arange(count)]
+    return rows
 
 
 def gap_speeds_kmh(points_m: Array, times_s: Array, offsets: IntArray, gap: int = 5) -> Array:

@@ -21,20 +21,19 @@ Value = str | int | float | None
 
 
 def absolute_errors(score: RecordingScore) -> Array:
-    """(n,) |measured - true| in km/h of the matched, valid cars."""
-    counted = score.matched & score.valid
-    return np.abs(score.speeds_kmh - score.truth_kmh)[counted]
+    """(n,) |measured - true| in km/h of the cars that count."""
+    return np.abs(score.speeds_kmh - score.truth_kmh)[score.counted]
 
 
 def relative_errors(score: RecordingScore) -> Array:
     """(n,) the same in percent of the true speed."""
-    return absolute_errors(score) / score.truth_kmh[score.matched & score.valid] * 100
+    return absolute_errors(score) / score.truth_kmh[score.counted] * 100
 
 
 def common_only(scores: Mapping[str, RecordingScore]) -> dict[str, RecordingScore]:
-    """One recording's scores of several systems, with only the cars that all of them found counting as valid.
+    """One recording's scores of several systems, with the speed errors of only the cars that all of them found.
 
-    False positives and calibration errors stay what they are. Among the cars left, recall is 1 for every system.
+    Recall, precision and the calibration's errors stay each system's own.
 
     Raises:
         DataError: the scores belong to different ground truths.
@@ -43,7 +42,7 @@ def common_only(scores: Mapping[str, RecordingScore]) -> dict[str, RecordingScor
     if len({len(part.matched) for part in parts}) > 1:
         raise DataError("scores of different recordings cannot be restricted to common vehicles")
     found = np.logical_and.reduce([part.matched for part in parts])
-    return {name: replace(part, valid=part.valid & found) for name, part in scores.items()}
+    return {name: replace(part, counted=part.counted & found) for name, part in scores.items()}
 
 
 def _figures(scores: Sequence[RecordingScore]) -> dict[str, Value]:
@@ -60,7 +59,7 @@ def _figures(scores: Sequence[RecordingScore]) -> dict[str, Value]:
         "mean_relative": _mean(relative),
         "median_relative": _percentile(relative, 50),
         "p95_relative": _percentile(relative, 95),
-        "recall": _ratio(len(absolute), sum(int(np.count_nonzero(score.valid)) for score in scores)),
+        "recall": _recall(scores),
         "precision": _ratio(matched, matched + false_positives),
     }
     calibration = {
@@ -86,7 +85,7 @@ def recording_row(recording: str, tracks: str, calibration: str, score: Recordin
     """One recording's figures.
 
     Returns:
-        recording, tracks (file), calibration ("own" or file); n, the matched valid cars; their speed errors mean,
+        recording, tracks (file), calibration ("own" or file); n, the cars whose speed counts; their errors mean,
         median, p95, worst in km/h and mean_relative, median_relative, p95_relative in percent; recall, matched valid
         of valid cars; precision, matched / (matched + false_positives), which the public script does not have;
         false_positives, matched, intersection_failures; calibration_ratio_error_relative_mean in percent,
@@ -100,11 +99,8 @@ def pooled_row(scores: Sequence[RecordingScore]) -> dict[str, Value]:
 
     `recall_recording_mean` beside them is the public script's: the mean of the recordings' recalls.
     """
-    recalls = [
-        _ratio(int(np.count_nonzero(score.matched & score.valid)), int(np.count_nonzero(score.valid)))
-        for score in scores
-    ]
-    known = np.array([recall for recall in recalls if not math.isnan(recall)])
+    recalls = np.array([_recall([score]) for score in scores])
+    known = recalls[np.isfinite(recalls)]
     return {"recordings": len(scores)} | _figures(scores) | {"recall_recording_mean": _known(_mean(known))}
 
 
@@ -114,6 +110,11 @@ def _mean(values: Array) -> float:
 
 def _percentile(values: Array, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else math.nan
+
+
+def _recall(scores: Sequence[RecordingScore]) -> float:
+    found = sum(int(np.count_nonzero(score.matched & score.valid)) for score in scores)
+    return _ratio(found, sum(int(np.count_nonzero(score.valid)) for score in scores))
 
 
 def _ratio(part: int, whole: int) -> float:

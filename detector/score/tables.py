@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from enum import Enum
+from enum import StrEnum
 
 from detector.score.summary import Value
 
-__all__ = ["COLUMNS", "TableFormat", "format_table"]
+__all__ = ["CALIBRATION_COLUMNS", "SPEED_COLUMNS", "Columns", "TableFormat", "format_table"]
+
+Columns = Mapping[str, tuple[str, str]]
+"""Key of a row -> heading and number format (empty for text)."""
 
 
-class TableFormat(str, Enum):
+class TableFormat(StrEnum):
     """How to print a table."""
 
     TEXT = "text"
@@ -20,32 +23,35 @@ class TableFormat(str, Enum):
     CSV = "csv"
 
 
-COLUMNS: dict[str, tuple[str, str]] = {
-    "system": ("system", ""),
-    "recording": ("recording", ""),
+_WHERE = {"system": ("system", ""), "recording": ("recording", "")}
+
+SPEED_COLUMNS: Columns = _WHERE | {
     "n": ("n", "d"),
-    "mean": ("mean km/h", ".3f"),
-    "median": ("median km/h", ".3f"),
-    "p95": ("95% km/h", ".3f"),
-    "worst": ("worst km/h", ".2f"),
+    "mean": ("mean km/h", ".2f"),
+    "median": ("median", ".2f"),
+    "p95": ("95 %", ".2f"),
+    "worst": ("worst", ".2f"),
     "mean_relative": ("mean %", ".2f"),
     "median_relative": ("median %", ".2f"),
-    "p95_relative": ("95% %", ".2f"),
-    "recall": ("recall", ".4f"),
-    "precision": ("precision", ".4f"),
+    "p95_relative": ("95 % %", ".2f"),
+    "recall": ("recall", ".3f"),
+    "precision": ("precision", ".3f"),
     "false_positives": ("false pos.", "d"),
     "intersection_failures": ("failures", "d"),
-    "calibration_ratio_error_relative_mean": ("ratio err %", ".2f"),
-    "distance_error_m_mean": ("dist err m", ".3f"),
-    "distance_error_relative_mean": ("dist err %", ".2f"),
 }
-"""Keys of rows shown to people: heading and number format. CSV holds all keys and all digits."""
+CALIBRATION_COLUMNS: Columns = _WHERE | {
+    "calibration": ("calibration", ""),
+    "calibration_ratio_error_absolute_mean": ("ratio error", ".4f"),
+    "calibration_ratio_error_relative_mean": ("ratio error %", ".2f"),
+    "distance_error_m_mean": ("distance error m", ".3f"),
+    "distance_error_relative_mean": ("distance error %", ".2f"),
+}
 
 
-def format_table(rows: Sequence[Mapping[str, Value]], style: TableFormat = TableFormat.TEXT) -> str:
+def format_table(rows: Sequence[Mapping[str, Value]], columns: Columns, style: TableFormat = TableFormat.TEXT) -> str:
     """Rows as one table, without a newline at the end; figures that are not known are dashes (CSV: empty).
 
-    Text and Markdown show those of `COLUMNS` that the first row has; CSV shows all keys of the first row.
+    Text and Markdown show the given columns as far as the first row has them, CSV all keys and digits.
     """
     if not rows:
         return ""
@@ -55,19 +61,18 @@ def format_table(rows: Sequence[Mapping[str, Value]], style: TableFormat = Table
         writer.writerow(rows[0])
         writer.writerows([row[key] for key in rows[0]] for row in rows)
         return buffer.getvalue().rstrip("\n")
-    keys = [key for key in COLUMNS if key in rows[0]]
-    cells = [[COLUMNS[key][0] for key in keys]]
-    cells += [[_cell(row[key], COLUMNS[key][1]) for key in keys] for row in rows]
-    widths = [max(len(line[column]) for line in cells) for column in range(len(keys))]
-    numeric = [bool(COLUMNS[key][1]) for key in keys]
-    lines = [
-        [cell.rjust(width) if number else cell.ljust(width) for cell, width, number in zip(line, widths, numeric)]
-        for line in cells
-    ]
+    shown = {key: column for key, column in columns.items() if key in rows[0]}
+    table = [[heading, *(_cell(row[key], form) for row in rows)] for key, (heading, form) in shown.items()]
+    padded, rules = [], []
+    for cells, (_, form) in zip(table, shown.values(), strict=True):
+        width = max(map(len, cells))
+        padded.append([cell.rjust(width) if form else cell.ljust(width) for cell in cells])
+        rules.append("-" * (width - 1) + (":" if form and style is TableFormat.MARKDOWN else "-"))
+    lines = list(zip(*padded, strict=True))
+    lines.insert(1, tuple(rules))
     if style is TableFormat.TEXT:
-        return "\n".join("  ".join(line).rstrip() for line in [lines[0], ["-" * w for w in widths], *lines[1:]])
-    rule = ["-" * (width - 1) + ":" if number else "-" * width for width, number in zip(widths, numeric)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in [lines[0], rule, *lines[1:]])
+        return "\n".join("  ".join(line).rstrip() for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _cell(value: Value, number_format: str) -> str:
