@@ -30,7 +30,7 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import PercentFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
     figure = Figure(figsize=(7.5, 4.8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -53,13 +53,15 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
     axes.set_xscale("log")
     axes.set_xlim(low, top)
     axes.set_ylim(0, 1)
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.grid(which="major", linewidth=0.5, alpha=0.5)
     axes.grid(which="minor", axis="x", linewidth=0.4, alpha=0.2)
     axes.set_xlabel(f"absolute speed error up to [{unit}]" if unit == "km/h" else "relative speed error up to [%]")
     axes.set_ylabel("share of matched vehicles")
-    axes.legend(loc="lower right" if top > 3 * _LEGAL_KMH else "best", fontsize=9)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.01), frameon=False, fontsize=9)
     picture = BytesIO()
     figure.savefig(picture, format=Path(path).suffix[1:], dpi=150)
     write_atomic(Path(path), picture.getvalue())
