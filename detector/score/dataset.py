@@ -15,19 +15,18 @@ from detector.score.groundtruth import GroundTruth, read_ground_truth
 from detector.score.tracks import ResultFile, read_results
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
+from labelgen.manifest import load_manifest
 
 __all__ = [
     "OWN_CALIBRATION",
-    "SPLIT_C_TEST_SESSIONS",
     "ScoredResult",
-    "missing_recordings",
     "result_file_name",
     "score_results",
     "select_recordings",
+    "split_c_test",
 ]
 
 OWN_CALIBRATION = "own"
-SPLIT_C_TEST_SESSIONS = (4, 5, 6)
 _SIDES = ("left", "center", "right")
 _GROUND_TRUTH = "gt_data.pkl"
 
@@ -71,7 +70,7 @@ def select_recordings(dataset: str | Path, choice: str) -> list[str]:
 
     Args:
         dataset: folder with one folder per recording.
-        choice: "all", "split-C" (the test part, sessions 4 to 6; those that are there), or names with commas between.
+        choice: "all", "split-C" (of its test recordings those that are there), or names with commas between.
 
     Raises:
         DataError: no such folder, unknown recording, or nothing left to score.
@@ -81,9 +80,10 @@ def select_recordings(dataset: str | Path, choice: str) -> list[str]:
     if choice == "all":
         return present
     if choice.lower() == "split-c":
-        chosen = [name for name in present if _natural(name)[0] in SPLIT_C_TEST_SESSIONS]
+        test = split_c_test()
+        chosen = [name for name in present if name in test]
         if not chosen:
-            raise DataError(f"data set {dataset}: none of split C's test sessions 4, 5, 6; try --recordings all")
+            raise DataError(f"data set {dataset}: none of split C's test recordings in it; try --recordings all")
         return chosen
     chosen = [name.strip() for name in choice.split(",") if name.strip()]
     unknown = [name for name in chosen if name not in present]
@@ -95,12 +95,10 @@ def select_recordings(dataset: str | Path, choice: str) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def missing_recordings(choice: str, chosen: Sequence[str]) -> list[str]:
-    """Recordings of split C's test part that are not among the chosen ones; none for other choices."""
-    if choice.lower() != "split-c":
-        return []
-    whole = [f"session{number}_{side}" for number in SPLIT_C_TEST_SESSIONS for side in _SIDES]
-    return [name for name in whole if name not in chosen]
+def split_c_test() -> list[str]:
+    """Names of the published split's nine test recordings."""
+    sessions = load_manifest("brnocompspeed")["splits"]["C"]["test"]
+    return [f"{session}_{side}" for session in sessions for side in _SIDES]
 
 
 def _check_files(results: Path, recordings: Sequence[str], names: Sequence[str]) -> None:

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from detector.score.ragged import IntArray
 from labelgen.errors import DataError
 from labelgen.geometry.projective import Array
+from labelgen.manifest import load_manifest
 
-__all__ = ["LANES", "LuvizonVideo", "read_luvizon_video"]
+__all__ = ["LANES", "LuvizonVideo", "is_luvizon", "read_luvizon_video", "select_videos"]
 
 LANES = 3
 _MEASURED_AREA = "measure"
@@ -71,6 +72,46 @@ def read_luvizon_video(folder: str | Path) -> LuvizonVideo:
         lane_areas=_lane_areas(folder / "lanes.xml"),
         homographies=_homographies(folder / "matrix.txt"),
     )
+
+
+def _videos(dataset: Path) -> list[str]:
+    return sorted(f"{path.parts[-3]}/{path.parts[-2]}" for path in dataset.glob("subset*/video*/vehicles.xml"))
+
+
+def is_luvizon(dataset: str | Path) -> bool:
+    """Whether a folder is laid out as the Luvizon data set."""
+    return bool(_videos(Path(dataset)))
+
+
+def select_videos(dataset: str | Path, choice: str) -> list[str]:
+    """Names of videos, "subset01/video01".
+
+    Args:
+        dataset: folder of the subsets.
+        choice: "all"; "test" or "training", each subset's first half (the odd one with it) and the rest of those that
+            are there; or names with commas between.
+
+    Raises:
+        DataError: unknown video, or nothing left to score.
+    """
+    present = _videos(Path(dataset))
+    chosen = present
+    if choice in ("test", "training"):
+        totals: dict[str, int] = load_manifest("luvizon")["splits"]["test"]
+        test = {
+            f"{subset}/video{number:02d}"
+            for subset, total in totals.items()
+            for number in range(1, (total + 1) // 2 + 1)
+        }
+        chosen = [name for name in present if (name in test) == (choice == "test")]
+    elif choice != "all":
+        chosen = list(dict.fromkeys(name.strip() for name in choice.split(",") if name.strip()))
+    unknown = [name for name in chosen if name not in present]
+    if unknown or not chosen:
+        raise DataError(
+            f"data set {dataset}: no video {', '.join(unknown) or repr(choice)}; there are {', '.join(present) or 'none'}"
+        )
+    return chosen
 
 
 def _read(path: Path) -> bytes:

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
 from detector.score.summary import Value
+from labelgen.errors import DataError
 
-__all__ = ["CALIBRATION_COLUMNS", "SPEED_COLUMNS", "Columns", "TableFormat", "format_table"]
+__all__ = ["CALIBRATION_COLUMNS", "LUVIZON_COLUMNS", "SPEED_COLUMNS", "Columns", "TableFormat", "format_table"]
 
 Columns = Mapping[str, tuple[str, str]]
 """Key of a row -> heading and number format (empty for text)."""
@@ -21,6 +22,14 @@ class TableFormat(StrEnum):
     TEXT = "text"
     MARKDOWN = "markdown"
     CSV = "csv"
+
+    @classmethod
+    def parse(cls, text: str) -> TableFormat:
+        """A format by its name; DataError where there is none of that name."""
+        try:
+            return cls(text)
+        except ValueError:
+            raise DataError(f"table format {text!r}: expected {', '.join(cls)}") from None
 
 
 _WHERE = {"system": ("system", ""), "recording": ("recording", "")}
@@ -38,6 +47,20 @@ SPEED_COLUMNS: Columns = _WHERE | {
     "precision": ("precision", ".3f"),
     "false_positives": ("false pos.", "d"),
     "intersection_failures": ("failures", "d"),
+}
+LUVIZON_COLUMNS: Columns = _WHERE | {
+    "vehicles": ("vehicles", "d"),
+    "matched": ("matched", "d"),
+    "recall": ("recall", ".3f"),
+    "within_matched": ("in [-3, +2]", ".3f"),
+    "within_all": ("of all", ".3f"),
+    "within_matched_public": ("in [-2, +3]", ".3f"),
+    "within_all_public": ("of all", ".3f"),
+    "bias": ("bias km/h", "+.2f"),
+    "mean": ("mean", ".2f"),
+    "median": ("median", ".2f"),
+    "p95": ("95 %", ".2f"),
+    "worst": ("worst", ".2f"),
 }
 CALIBRATION_COLUMNS: Columns = _WHERE | {
     "calibration": ("calibration", ""),

@@ -142,6 +142,11 @@ class ResultFile:
         """
         return Camera.from_dict({"camera_calibration": self.calibration}, name=str(self.path))
 
+    def lane_scales(self) -> Any:
+        """`lane_scales` of the calibration, as the file gives it: one factor per lane; ones where there are none."""
+        calibration = self.calibration if isinstance(self.calibration, Mapping) else {}
+        return calibration.get("lane_scales", [1.0, 1.0, 1.0])
+
 
 def read_results(path: str | Path) -> ResultFile:
     """Read a public result file.
