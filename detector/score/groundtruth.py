@@ -14,7 +14,7 @@ from labelgen.errors import DataError
 from labelgen.geometry.projective import Array
 from labelgen.sources.pickles import load_pickle
 
-__all__ = ["GroundTruth", "read_ground_truth"]
+__all__ = ["GroundTruth", "parse_ground_truth", "read_ground_truth"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +57,23 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
     """
     data = load_pickle(path)
     try:
-        return _parse(data)
+        return parse_ground_truth(data)
     except DataError as err:
         raise DataError(f"ground truth {path}: {err}") from None
+
+
+def parse_ground_truth(data: Any) -> GroundTruth:
+    """Ground truth from the contents of a `gt_data.pkl`.
+
+    Raises:
+        DataError: not of the data set's layout.
+    """
+    try:
+        return _parse(data)
     except KeyError as err:
-        raise DataError(f"ground truth {path}: key {err} is missing; is this a BrnoCompSpeed gt_data.pkl?") from None
+        raise DataError(f"key {err} is missing; is this a BrnoCompSpeed gt_data.pkl?") from None
     except (AttributeError, IndexError, TypeError, ValueError) as err:
-        raise DataError(f"ground truth {path}: not of the BrnoCompSpeed layout ({err})") from None
+        raise DataError(f"not of the BrnoCompSpeed layout ({err})") from None
 
 
 def _parse(data: Any) -> GroundTruth:

@@ -108,9 +108,8 @@ def select_videos(dataset: str | Path, choice: str) -> list[str]:
         chosen = list(dict.fromkeys(name.strip() for name in choice.split(",") if name.strip()))
     unknown = [name for name in chosen if name not in present]
     if unknown or not chosen:
-        raise DataError(
-            f"data set {dataset}: no video {', '.join(unknown) or repr(choice)}; there are {', '.join(present) or 'none'}"
-        )
+        missing, there = ", ".join(unknown) or repr(choice), ", ".join(present) or "none"
+        raise DataError(f"data set {dataset}: no video {missing}; there are {there}")
     return chosen
 
 

@@ -5,6 +5,8 @@ Convention: the points of all tracks lie back to back in one array; track i owns
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,18 +24,30 @@ def owners(offsets: IntArray) -> IntArray:
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
+def _blocks(offsets: IntArray) -> Iterator[tuple[IntArray, IntArray, NDArray[np.bool_]]]:
+    """Tracks of similar length as dense blocks: their numbers (n,), rows (n, w), and which of these are theirs.
+
+    Rows of one length could be wide for one long track among many short ones; doubling lengths waste half at most.
+    """
+    counts = np.diff(offsets)
+    sizes = np.ceil(np.log2(np.maximum(counts, 1))).astype(np.int64)
+    for size in np.unique(sizes[counts > 0]):
+        tracks = np.flatnonzero((sizes == size) & (counts > 0))
+        steps = np.arange(counts[tracks].max())
+        inside = steps < counts[tracks, None]
+        yield tracks, np.where(inside, offsets[tracks, None] + steps, 0), inside
+
+
 def median_per_track(values: Array, offsets: IntArray) -> Array:
     """(N,) median of each track's values; NaN where a value is NaN or a track has none."""
     out = np.full(len(offsets) - 1, np.nan)
-    counts = np.diff(offsets)
-    some = counts > 0
-    if not some.any():
-        return out
-    ordered = values[np.lexsort((values, owners(offsets)))]
-    first, count = offsets[:-1][some], counts[some]
-    middle = (ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2
-    # NaN sorts last, so the last value tells whether there is one.
-    out[some] = np.where(np.isnan(ordered[first + count - 1]), np.nan, middle)
+    for tracks, rows, inside in _blocks(offsets):
+        block = np.where(inside, values[rows], np.inf)
+        unknown = np.isnan(block).any(axis=1)
+        block.sort(axis=1)
+        count, each = inside.sum(axis=1), np.arange(len(tracks))
+        middle = (block[each, (count - 1) // 2] + block[each, count // 2]) / 2
+        out[tracks] = np.where(unknown, np.nan, middle)
     return out
 
 
@@ -45,9 +59,15 @@ def nearest_rows(distances: Array, offsets: IntArray, count: int) -> IntArray:
         offsets: (N + 1,); every track has at least `count` points.
         count: how many rows to take.
     """
-    order = np.lexsort((distances, owners(offsets)))
-    rows: IntArray = order[offsets[:-1, None] + np.arange(count)]
-    return rows
+    out = np.empty((len(offsets) - 1, count), dtype=np.int64)
+    for tracks, rows, inside in _blocks(offsets):
+        block, each = np.where(inside, distances[rows], np.inf), np.arange(len(tracks))
+        for rank in range(count):
+            # argmin gives the first of equal ones, which is what a stable sort would.
+            nearest = block.argmin(axis=1)
+            out[tracks, rank] = rows[each, nearest]
+            block[each, nearest] = np.inf
+    return out
 
 
 def gap_speeds_kmh(points_m: Array, times_s: Array, offsets: IntArray, gap: int = 5) -> Array:

@@ -38,11 +38,11 @@ SPEED_COLUMNS: Columns = _WHERE | {
     "n": ("n", "d"),
     "mean": ("mean km/h", ".2f"),
     "median": ("median", ".2f"),
-    "p95": ("95 %", ".2f"),
+    "p95": ("p95", ".2f"),
     "worst": ("worst", ".2f"),
     "mean_relative": ("mean %", ".2f"),
     "median_relative": ("median %", ".2f"),
-    "p95_relative": ("95 % %", ".2f"),
+    "p95_relative": ("p95 %", ".2f"),
     "recall": ("recall", ".3f"),
     "precision": ("precision", ".3f"),
     "false_positives": ("false pos.", "d"),
@@ -59,7 +59,7 @@ LUVIZON_COLUMNS: Columns = _WHERE | {
     "bias": ("bias km/h", "+.2f"),
     "mean": ("mean", ".2f"),
     "median": ("median", ".2f"),
-    "p95": ("95 %", ".2f"),
+    "p95": ("p95", ".2f"),
     "worst": ("worst", ".2f"),
 }
 CALIBRATION_COLUMNS: Columns = _WHERE | {

@@ -115,7 +115,7 @@ def _car_arrays(car: Any) -> tuple[Array, Array, Array] | str:
             return "not numbers"
         if array.ndim != 1 or array.dtype.kind not in "iuf":
             return "not numbers"
-        arrays.append(array.astype(np.float64))
+        arrays.append(array.astype(np.float64, copy=False))
     x, y, frames = arrays
     if not len(x) == len(y) == len(frames):
         return "lists of different lengths"

@@ -47,10 +47,10 @@ def evaluate_luvizon(
             file = read_results(results / name / result_file_name(system))
             score = score_luvizon(video, file.tracks, file.camera(), file.lane_scales())
             scores[system].append(score)
-            rows.append({"system": system, "recording": name, "tracks": file.path.name} | luvizon_row([score]))
+            rows.append({"system": system, "recording": name, "tracks": file.path.name, **luvizon_row([score])})
     pooled = {system: luvizon_row(parts) for system, parts in scores.items()}
-    last = [
-        {"system": system, "recording": "pooled", "tracks": result_file_name(system)} | row
+    last: list[dict[str, Any]] = [
+        {"system": system, "recording": "pooled", "tracks": result_file_name(system), **row}
         for system, row in pooled.items()
     ]
     typer.echo(format_table(rows + last, LUVIZON_COLUMNS, style))
