@@ -21,7 +21,7 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
     """Write the share of vehicles whose error is at most x, one curve per system.
 
     Args:
-        errors: by system, (n,) absolute errors in `unit`; a system without errors is named in the legend only.
+        errors: by system, (n,) absolute errors in `unit`; a system without any is named in the legend only.
         path: picture file, its folder being there; its ending (.png, .pdf, .svg) chooses the format.
         unit: "km/h" or "%".
 
@@ -61,7 +61,8 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
     axes.grid(which="minor", axis="x", linewidth=0.4, alpha=0.2)
     axes.set_xlabel(f"absolute speed error up to [{unit}]" if unit == "km/h" else "relative speed error up to [%]")
     axes.set_ylabel("share of matched vehicles")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.01), frameon=False, fontsize=9)
+    if errors:
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.01), frameon=False, fontsize=9)
     picture = BytesIO()
     figure.savefig(picture, format=Path(path).suffix[1:], dpi=150)
     write_atomic(Path(path), picture.getvalue())

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Scene
+from score_scenes import Scene
 
 from detector.score.brnocompspeed import lanes_of, line_crossings, prefilter
 from detector.score.tracks import Tracks

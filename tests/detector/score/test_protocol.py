@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Scene, make_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from score_scenes import Scene, make_scene
 
 from detector.score import absolute_errors, recording_row, score_recording
 from detector.score.brnocompspeed import RecordingScore
