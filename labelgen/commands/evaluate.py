@@ -17,7 +17,7 @@ def evaluate(
     dataset: Annotated[Path, typer.Option(metavar="DIR", help="Folder with sessionN_left/gt_data.pkl and so on.")],
     results: Annotated[Path, typer.Option(metavar="DIR", help="Folder with sessionN_left/system_NAME.json.")],
     system: Annotated[list[str], typer.Option(metavar="NAME...", help="System to score; several to compare.")],
-    more_systems: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
+    more_systems: Annotated[list[str] | None, typer.Argument(metavar="[NAME...]", hidden=True)] = None,
     recordings: Annotated[
         str, typer.Option(metavar="split-C|all|NAME,...", help="What to score; split-C is sessions 4 to 6.")
     ] = "split-C",
