@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 
-__all__ = ["Lane", "Scene", "look_at_road", "procedural_scene", "visible_range"]
+__all__ = ["Lane", "Scene", "look_at_road", "procedural_scene", "road_to_image", "visible_range"]
 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
@@ -106,6 +107,15 @@ def visible_range(camera: Camera, y: float, far_m: float = FARTHEST_M) -> tuple[
     return float(x[seen[0]]), float(x[seen[-1]])
 
 
+def road_to_image(camera: Camera) -> NDArray[np.float64]:
+    """(3, 3) homography from the road, metres, to the image, px; third coordinate positive in front of the camera."""
+    rotation = camera.axes.T
+    intrinsic = np.array([[camera.focal, 0, camera.pp[0]], [0, camera.focal, camera.pp[1]], [0, 0, 1.0]])
+    origin = -rotation @ np.array([0.0, 0.0, camera.height_m])
+    out: NDArray[np.float64] = intrinsic @ np.stack([rotation[:, 0], rotation[:, 1], origin], axis=1)
+    return out
+
+
 def _line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]) -> NDArray[np.float64]:
     """Homogeneous px line through two points of the road, its normal of unit length."""
     p, q = camera.project(np.array([a, b]))
@@ -146,9 +156,7 @@ def procedural_scene(
         gap = rng.uniform(0.3, 3.0)
         side = -1 if heading < 0 else 1
         start = (edges[0] if side < 0 else edges[-1]) + side * gap
-        lanes += [
-            Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)
-        ]
+        lanes += [Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)]
     near, far = visible_range(camera, middle) or (distance - 5, distance + 30)
     near = max(near, 2.0) + 3.0
     far = min(far - 3.0, near + 60.0)
@@ -160,8 +168,6 @@ def procedural_scene(
 
 
 def _carriageway_mask(camera: Camera, y0: float, y1: float, x0: float, x1: float) -> NDArray[np.bool_]:
-    import cv2
-
     assert camera.image_wh is not None
     x = np.linspace(x0, x1, 60)
     border = np.concatenate([np.stack([x, np.full_like(x, y0)], 1), np.stack([x, np.full_like(x, y1)], 1)[::-1]])

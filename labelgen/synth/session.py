@@ -18,7 +18,7 @@ from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.render import Drawn, Placed, Renderer
 from labelgen.synth.road import draw_road
 from labelgen.synth.scenes import Scene, procedural_scene, visible_range
-from labelgen.synth.traffic import Trip, random_traffic
+from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
 from labelgen.synth.vehicles import Vehicle
 
@@ -138,7 +138,9 @@ def write_session(
         "masks": folders["truth"] / "masks.json",
         "boxes": folders["truth"] / "boxes.jsonl",
     }
-    return SessionSummary(name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()})
+    return SessionSummary(
+        name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()}
+    )
 
 
 def _render(
@@ -170,7 +172,9 @@ def _render(
                 if writer is not None:
                     ids = {t.track_id for t in here}
                     renderer.forget({k for k in vehicles if k not in ids})
-                    vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
+                    vehicles = {
+                        t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here
+                    }
                     placed = [place(t, vehicles[t.track_id], time_s) for t in here]
                     image, drawn = renderer.frame(placed, number=number)
                     writer.write(image)
@@ -187,26 +191,6 @@ def _render(
 
 def _write_json(path: Path, data: Any) -> None:
     path.write_text(json.dumps(data) + "\n", encoding="utf-8")
-
-
-def _crossing_x(scene: Scene, line: NDArray[Any], trip: Trip) -> float:
-    """X at which a vehicle's measured point crosses a line of the image."""
-    # In the road frame the image of the path is a straight line: cut it with the line through two of its pixels.
-    ends = np.array([[1.0, float(trip.lane.y(1.0)) + trip.offset_y], [60.0, float(trip.lane.y(60.0)) + trip.offset_y]])
-    camera = scene.camera
-    to_image = _road_to_image(camera)
-    normal = to_image.T @ line
-    a, b = (float(normal @ [*end, 1.0]) for end in ends)
-    return float(ends[0, 0] + (ends[1, 0] - ends[0, 0]) * a / (a - b))
-
-
-def _road_to_image(camera: Any) -> NDArray[np.float64]:
-    """Homography from the road, metres, to the image, px."""
-    rotation = camera.axes.T
-    intrinsic = np.array([[camera.focal, 0, camera.pp[0]], [0, camera.focal, camera.pp[1]], [0, 0, 1.0]])
-    origin = -rotation @ np.array([0.0, 0.0, camera.height_m])
-    out: NDArray[np.float64] = intrinsic @ np.stack([rotation[:, 0], rotation[:, 1], origin], axis=1)
-    return out
 
 
 def ground_truth(
@@ -230,7 +214,7 @@ def ground_truth(
             continue
         times = {}
         for number, line in enumerate(scene.measurement_lines):
-            time = trip._time_at(_crossing_x(scene, line, trip))
+            time = trip.time_at(near_path_x(scene, line, trip.lane, trip.offset_y))
             if 0 <= time < duration_s:
                 times[number] = time
         if 0 not in times:
@@ -249,7 +233,9 @@ def ground_truth(
                 "valid": valid,
                 "acceleration": 0.0,
                 "timeIntersectionLastShifted": times[0],
-                "intersections": [{"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)],
+                "intersections": [
+                    {"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)
+                ],
             }
         )
     cars.sort(key=lambda car: car["timeIntersectionLastShifted"])  # type: ignore[arg-type, return-value]

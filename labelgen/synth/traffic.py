@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.scenes import Lane, Scene
+from labelgen.synth.scenes import Lane, Scene, road_to_image
 from labelgen.synth.vehicles import Vehicle, body_kinds, make_vehicle
 
-__all__ = ["Trip", "random_traffic"]
+__all__ = ["Trip", "near_path_x", "random_traffic"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +61,11 @@ class Trip:
     def span_s(self, x_range: tuple[float, float]) -> tuple[float, float]:
         """First and last time at which any of it lies in a range of X."""
         low, high = x_range[0] - self.size_lwh[0], x_range[1]
-        times = [self._time_at(x) for x in (low, high)]
+        times = [self.time_at(x) for x in (low, high)]
         return min(times), max(times)
 
-    def _time_at(self, x: float) -> float:
+    def time_at(self, x: float) -> float:
+        """When the middle of its near bottom edge passes X."""
         t, knots = self.knots_s, self.knots_x
         rising = knots[-1] > knots[0]
         k = np.searchsorted(knots if rising else -knots, x if rising else -x) - 1
@@ -74,6 +75,13 @@ class Trip:
     def vehicle(self, *, lamps: bool) -> Vehicle:
         """The vehicle itself; always the same one."""
         return make_vehicle(self.kind, np.random.default_rng(list(self.vehicle_seed)), lamps=lamps)
+
+
+def near_path_x(scene: Scene, line: NDArray[np.float64], lane: Lane, offset_y: float) -> float:
+    """X at which who drives `offset_y` metres beside the middle of a lane crosses a homogeneous px line."""
+    a, b, c = road_to_image(scene.camera).T @ line
+    y0 = lane.y0 + offset_y
+    return float(-(b * y0 + c) / (a + b * lane.slope))
 
 
 def random_traffic(
@@ -110,9 +118,7 @@ def random_traffic(
             if before is not None:
                 gap = rng.uniform(0.7, 1.6)
                 length = max(before[2], float(size[0]))
-                entry = max(
-                    entry, before[0] + gap + length / speed, before[1] + gap + length / speed - (high - low) / speed
-                )
+                entry = max(entry, before[0] + gap + length / speed, before[1] + gap + length / speed - (high - low) / speed)
             leave = entry + (high - low) / speed
             before = (entry, leave, size[0])
             clock = max(clock, entry)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 from labelgen.synth.bodies import body_mesh
-from labelgen.synth.mesh import Mesh, box_mesh
+from labelgen.synth.mesh import Chart, Mesh, box_mesh
 from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, sample_shape
 from labelgen.synth.skin import Skin, draw_skin
@@ -41,7 +41,7 @@ class Vehicle:
     Args:
         kind: body type, a key of `BODY_TYPES`, or "box".
         vehicle_class: for labels.
-        size_lwh: (3,) metres, the bounding cuboid of the mesh, mirrors included.
+        size_lwh: (3,) metres, the bounding cuboid of the body, as registration papers give it: without mirrors.
         mesh: around the middle of the cuboid's floor.
         skin: what is painted on it.
         paint: (5,) see `raster.shade`.
@@ -88,18 +88,18 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
         colour, metal = (0.68, 0.68, 0.67), 0.0
     shape = sample_shape(kind, rng)
     mesh = body_mesh(shape)
-    size = np.ptp(mesh.vertices, axis=0)
-    cargo_tones: Any = [
-        (0.68, 0.68, 0.66),
-        (0.5, 0.5, 0.52),
-        (0.05, 0.10, 0.30),
-        (0.40, 0.05, 0.04),
-        (0.10, 0.20, 0.10),
-    ]
+    extent = np.ptp(mesh.vertices, axis=0)
+    size = _body_size(mesh)
+    cargo_tones: Any = [(0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10)]
     cargo = cargo_tones[rng.choice(5, p=[0.5, 0.15, 0.15, 0.1, 0.1])]
-    skin = draw_skin(shape, size, colour, cargo, rng, lamps=lamps)
+    skin = draw_skin(shape, extent, colour, cargo, rng, lamps=lamps)
     paint = np.array([metal, rng.uniform(0.7, 1.0), 0.9, float(lamps), rng.uniform(0.1, 0.5)])
     return Vehicle(kind, shape.vehicle_class, size, mesh, skin, paint)
+
+
+def _body_size(mesh: Mesh) -> NDArray[np.float64]:
+    body = mesh.vertices[mesh.triangles[mesh.charts != Chart.MIRROR]]
+    return np.asarray(np.ptp(body.reshape(-1, 3), axis=0))
 
 
 def _shares() -> NDArray[np.float64]:
