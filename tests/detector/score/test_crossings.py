@@ -144,3 +144,20 @@ def test_the_first_time_seen_counts_before_points_are_left_out(scene: Scene) -> 
     late = {"id": 9, "frames": [0, *late["frames"]], "posX": [1.0, *late["posX"]], "posY": [1.0, *late["posY"]]}
     scene.cars.append(late)
     assert prefilter(scene.tracks(), scene.truth()).ids == (0, 9)
+
+
+@pytest.mark.parametrize(("first_frame", "kept"), [(499, True), (500, False)])
+def test_a_car_first_seen_at_the_last_true_crossing_is_too_late(scene: Scene, first_frame: int, kept: bool) -> None:
+    scene.add_truth(10.0, 20.0, 0)  # frame 500 at 50 frames per second
+    model = scene.track(12.0, 20.0, 1)
+    scene.cars.append(model | {"frames": [first_frame + i for i in range(len(model["frames"]))]})
+    assert (len(prefilter(scene.tracks(), scene.truth())) == 1) == kept
+
+
+@pytest.mark.parametrize(("points", "kept"), [(5, False), (6, True)])
+def test_six_points_are_enough(scene: Scene, points: int, kept: bool) -> None:
+    scene.add_truth(10.0, 20.0, 0)
+    model = scene.track(10.0, 20.0, 0)
+    middle = slice(20, 20 + points)
+    scene.cars.append({key: model[key][middle] for key in ("frames", "posX", "posY")})
+    assert (len(prefilter(scene.tracks(), scene.truth())) == 1) == kept

@@ -157,6 +157,13 @@ def test_the_best_overlap_wins_and_each_track_serves_once(tmp_path: Path) -> Non
     assert score_luvizon(truth, Tracks.from_cars([]), None).tracks.tolist() == [-1, -1]
 
 
+def test_overlap_counts_in_proportion(tmp_path: Path) -> None:
+    truth = read_luvizon_video(write_video(tmp_path / "subset01" / "video01", [vehicle(1, 100, 119, 50.0)]))
+    # The first track covers all 20 frames of the vehicle but lasts 71, the second one 17 of its own 17.
+    cars = [car(0, 1, 90, 160, 20.0), car(1, 1, 103, 119, 60.0)]
+    assert score_luvizon(truth, Tracks.from_cars(cars), None).tracks.tolist() == [1]
+
+
 def test_a_tracks_lane_is_where_most_of_its_points_are(video: LuvizonVideo) -> None:
     track = car(0, 1, 100, 109, 50.0)
     tracks = Tracks.from_cars(

@@ -296,3 +296,25 @@ def test_agrees_with_the_protocol_car_by_car(seed: int, low_horizon: bool) -> No
     assert got.false_positives == expected["false_positives"]
     assert got.intersection_failures == expected["intersection_failures"]
     np.testing.assert_allclose(absolute_errors(got), expected["errors"], rtol=1e-6, atol=1e-6)
+
+
+def test_of_equally_near_tracks_in_two_lanes_the_first_in_the_file_wins(scene: Scene) -> None:
+    # Lanes 400 < x < 800 < 1200. The tracks y = 8 x + const are exact in binary, so that both cross y = 900 in the very
+    # same instant; being in different parts of the picture, they have different speeds.
+    crossing = {"measurementLineId": 0, "videoTime": 1.8}
+    data = {"fps": 50.0, "invalidLanes": set(), "distanceMeasurement": []}
+    data["measurementLines"] = [np.array([0.0, 1.0, -900.0]), np.array([0.0, 1.0, -200.0])]
+    data["laneDivLines"] = [np.array([1.0, 0.0, -x]) for x in (400.0, 800.0, 1200.0)]
+    car = {"carId": 0, "speed": 50.0, "valid": True, "laneIndex": {0, 1}, "intersections": [crossing]}
+    data["cars"] = [car, car | {"intersections": [{"measurementLineId": 0, "videoTime": 99.0}]}]
+    frames = list(range(10, 100))
+    ys = [10.0 * frame + 5 for frame in frames]
+    tracks = []
+    for name, x in (("left", 500.0), ("right", 900.0)):
+        tracks.append({"id": name, "frames": frames, "posY": ys, "posX": [x + (y - 900) / 8 for y in ys]})
+    scores = []
+    for scene.cars in (tracks, tracks[::-1]):
+        scores.append(score_recording(parse_ground_truth(data), scene.tracks(), scene.camera))
+        expected = score_car_by_car(scene.cars, data, scene.camera.to_dict()["camera_calibration"])
+        assert absolute_errors(scores[-1]) == pytest.approx(expected["errors"])
+    assert scores[0].speeds_kmh[0] != scores[1].speeds_kmh[0]
