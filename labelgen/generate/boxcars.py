@@ -144,7 +144,7 @@ class BoxCarsUnit:
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
         path = self._path(out)
-        return [path] if finished_part(path) else None
+        return None if finished_part(path) is None else [path]
 
     def run(self, out: Path, progress: Progress) -> None:
         """See `Unit`."""
