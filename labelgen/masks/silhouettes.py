@@ -25,6 +25,7 @@ _MIN_AREA_SHARE = 0.0006
 # Blurred borders are cut where the difference falls below this share of what it is 2 px further inside.
 _BORDER_SHARE = 0.35
 _RIM = 2
+_LEVEL_SHARE = 0.85
 _BLACK = (0.38, 0.7)
 _COLOUR_LEVELS = 14.0
 _TEXTURE_LEVELS = 22
@@ -34,6 +35,12 @@ _SOLID = 0.6
 # Half the width of the thickest part, relative to the side of the smallest vehicle: edges of lane lines are thinner.
 _THICK = 0.3
 _PAD = 16
+# A shape is cut in two if it leaves this much of its hull free, the pieces' hulls are smaller by this share (more
+# where the shape is the evidence's, which has dents of its own), and none of them is a mere corner.
+_CONVEX = 0.87
+_CUT_GAIN = 0.10
+_CUT_GAIN_EVIDENCE = 0.18
+_CUT_SHARE = 0.15
 
 
 @dataclass(frozen=True)
@@ -65,11 +72,22 @@ def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask]:
     black = ratio < min(_BLACK[0], _BLACK[1] * model.shadow)
     colour = np.abs(smooth - expected * ratio[..., None]).max(axis=2) > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
     inside = cv2.erode(changed_u8, _disc(2 * _RIM + 1), borderValue=1)
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    lightest = cv2.dilate(grey * inside, np.ones((3, 3), np.uint8))
-    darkest = cv2.erode(np.where(inside > 0, grey, 255).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=255)
-    textured = (lightest.astype(np.int16) - darkest > _TEXTURE_LEVELS) & (inside > 0)
+    # Outlines of dark things are blurred further inwards than a fixed rim: up to where the difference levels out.
+    peak = cv2.dilate(difference, _disc(7))
+    blurred = (difference < _LEVEL_SHARE * peak) & (cv2.erode(changed_u8, _disc(11), borderValue=1) == 0)
+    inside[blurred] = 0
+    # Texture that the ground has too shows through a shadow.
+    new = _range(light, inside) - _range(light_before, np.ones_like(inside)) * np.minimum(ratio, 1)
+    textured = new > np.maximum(_TEXTURE_LEVELS, (1 - _LEVEL_SHARE) * peak)
     return changed_u8, changed_u8 & (brighter | black | colour | textured)
+
+
+def _range(grey: NDArray[np.float32], inside: Mask) -> NDArray[np.float32]:
+    """Lightest minus darkest of the pixels inside, in 3 x 3; 0 outside."""
+    box = np.ones((3, 3), np.uint8)
+    lightest = cv2.dilate(np.where(inside > 0, grey, 0).astype(np.float32), box)
+    darkest = cv2.erode(np.where(inside > 0, grey, 255).astype(np.float32), box)
+    return np.where(inside > 0, lightest - darkest, 0).astype(np.float32)
 
 
 def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
@@ -103,27 +121,31 @@ def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
 def _vehicles(region: Mask, evidence: Mask, min_area: float) -> list[Mask]:
     """The vehicles in one changed region (h, w)."""
     region, evidence = np.pad(region, _PAD), np.pad(evidence, _PAD)
-    region_area = int(region.sum())
-    reach = min(max(5, 0.3 * np.sqrt(region_area)), 2 * _PAD - 1)
-    spanned = cv2.morphologyEx(evidence, cv2.MORPH_CLOSE, _disc(reach)) & region
-    spanned = cv2.morphologyEx(spanned, cv2.MORPH_OPEN, _disc(3))
-    if spanned.sum() < _SPANNED * region_area:
-        spanned = region
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(spanned)
     out = []
-    for i in range(1, count):
-        if stats[i, cv2.CC_STAT_AREA] < 0.5 * min_area:
-            continue
-        part = cv2.dilate((labels == i).view(np.uint8), _disc(2 * _RIM + 1)) & region
-        silhouette = _smooth(part, region)
-        if silhouette is None or silhouette.sum() < min_area:
-            continue
-        if cv2.distanceTransform(silhouette, cv2.DIST_L2, 3).max() >= _THICK * np.sqrt(min_area):
-            out.append(silhouette[_PAD:-_PAD, _PAD:-_PAD])
+    for piece in _pieces(region, min_area, _CUT_GAIN):
+        seen = evidence & piece
+        area = int(piece.sum())
+        reach = min(max(5, 0.3 * np.sqrt(area)), 2 * _PAD - 1)
+        spanned = cv2.morphologyEx(cv2.morphologyEx(seen, cv2.MORPH_CLOSE, _disc(reach)) & piece, cv2.MORPH_OPEN, _disc(3))
+        if spanned.sum() < _SPANNED * area:
+            if area < 0.4 * region.sum() and seen.sum() < 0.1 * area:
+                continue  # the shadow of the vehicle next to it
+            spanned = piece
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(spanned)
+        for i in range(1, count):
+            if stats[i, cv2.CC_STAT_AREA] < 0.5 * min_area:
+                continue
+            part = cv2.dilate((labels == i).view(np.uint8), _disc(2 * _RIM + 1)) & piece
+            for solid in _pieces(part, min_area, _CUT_GAIN_EVIDENCE):
+                silhouette = _smooth(solid)
+                if silhouette is None or silhouette.sum() < min_area:
+                    continue
+                if cv2.distanceTransform(silhouette, cv2.DIST_L2, 3).max() >= _THICK * np.sqrt(min_area):
+                    out.append(silhouette[_PAD:-_PAD, _PAD:-_PAD])
     return [part for part in out if part.any()]
 
 
-def _smooth(part: Mask, region: Mask) -> Mask | None:
+def _smooth(part: Mask) -> Mask | None:
     """The part without spurs and dents, or None if it is no solid shape."""
     part = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(3, 0.12 * np.sqrt(part.sum()))))
     contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -136,3 +158,53 @@ def _smooth(part: Mask, region: Mask) -> Mask | None:
     filled = np.zeros_like(part)
     cv2.drawContours(filled, [hull], -1, 1, cv2.FILLED)
     return filled
+
+
+def _pieces(part: Mask, min_area: float, gain: float) -> list[Mask]:
+    """A shape, cut where that leaves clearly more convex pieces: vehicles are convex, two of them together are not."""
+    opened = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(3, 0.06 * np.sqrt(part.sum()))))
+    contours, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    todo = [c for c in contours if cv2.contourArea(c) >= 0.5 * min_area]
+    done = []
+    while todo:
+        contour = todo.pop()
+        halves = _cut(contour, min_area, gain)
+        if halves is None:
+            done.append(contour)
+        else:
+            todo.extend(halves)
+    out = []
+    for contour in done:
+        piece = np.zeros_like(part)
+        cv2.drawContours(piece, [contour], -1, 1, cv2.FILLED)
+        out.append(piece)
+    return out
+
+
+def _cut(
+    contour: NDArray[np.int32], min_area: float, gain: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]] | None:
+    """The two halves (K, 1, 2) of a contour along the cut that makes their hulls smallest, if that is worth it."""
+    area = cv2.contourArea(contour)
+    whole = cv2.contourArea(cv2.convexHull(contour))
+    if area < 2 * min_area or area > _CONVEX * whole:
+        return None
+    hull = cv2.convexHull(contour, returnPoints=False)
+    try:
+        defects = cv2.convexityDefects(contour, np.sort(hull.reshape(-1, 1), axis=0)[::-1])
+    except cv2.error:  # OpenCV refuses hulls of contours that touch themselves
+        return None
+    if defects is None:
+        return None
+    n = len(contour)
+    defects = defects.reshape(-1, 4)  # (N, 1, 4) before OpenCV 5
+    deepest = defects[np.argsort(-defects[:, 3], kind="stable")][:3]
+    best, best_sum = None, (1 - gain) * whole
+    for start in (int(d[2]) for d in deepest if d[3] / 256 > 2):
+        rolled = np.roll(contour, -start, axis=0)
+        for k in range(n // 10, n - n // 10, max(1, n // 60)):
+            one, two = rolled[: k + 1], np.concatenate([rolled[k:], rolled[:1]])
+            hulls = cv2.contourArea(cv2.convexHull(one)) + cv2.contourArea(cv2.convexHull(two))
+            if hulls < best_sum and min(cv2.contourArea(one), cv2.contourArea(two)) >= _CUT_SHARE * area:
+                best, best_sum = (one, two), hulls
+    return best
