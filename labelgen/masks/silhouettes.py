@@ -7,6 +7,7 @@ the silhouette is what the evidence spans within the change. An outline alone is
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
@@ -29,6 +30,13 @@ _LEVEL_SHARE = 0.85
 _BLACK = (0.38, 0.7)
 _COLOUR_LEVELS = 14.0
 _TEXTURE_LEVELS = 22
+# What is at least this dark above a vehicle's evidence is its roof, not its shadow, up to this share of its height.
+_DARK = 0.6
+_ROOF = 0.7
+# Parts are one vehicle if this share of the hull around them has changed.
+_ONE_VEHICLE = 0.9
+# Longer than this for its width is no vehicle.
+_LONGEST = 6.0
 # Share of a changed region that evidence must span; below it vehicle and shadow look the same and both are kept.
 _SPANNED = 0.35
 _SOLID = 0.6
@@ -57,8 +65,8 @@ def _disc(size: float) -> Mask:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
-def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask]:
-    """Changed pixels, and those of them that no shadow explains; (H, W) uint8 of 0 and 1 each."""
+def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask, Mask]:
+    """Changed pixels, those of them that no shadow explains, and the dark ones; (H, W) uint8 of 0 and 1 each."""
     expected = model.expected(image)
     threshold = model.threshold(expected)
     smooth = cv2.blur(image, (3, 3)).astype(np.float32)
@@ -79,7 +87,7 @@ def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask]:
     # Texture that the ground has too shows through a shadow.
     new = _range(light, inside) - _range(light_before, np.ones_like(inside)) * np.minimum(ratio, 1)
     textured = new > np.maximum(_TEXTURE_LEVELS, (1 - _LEVEL_SHARE) * peak)
-    return changed_u8, changed_u8 & (brighter | black | colour | textured)
+    return changed_u8, changed_u8 & (brighter | black | colour | textured), changed_u8 & (ratio < _DARK)
 
 
 def _range(grey: NDArray[np.float32], inside: Mask) -> NDArray[np.float32]:
@@ -93,7 +101,7 @@ def _range(grey: NDArray[np.float32], inside: Mask) -> NDArray[np.float32]:
 def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
     """The vehicles' silhouettes in an image (H, W, 3) uint8 BGR that lies on the model (`BackgroundModel.align`)."""
     assert model.background is not None
-    changed, evidence = evidence_maps(image, model)
+    changed, evidence, dark = evidence_maps(image, model)
     min_area = _MIN_AREA_SHARE * changed.size
     found = []
     joined = cv2.morphologyEx(changed, cv2.MORPH_CLOSE, _disc(5))
@@ -104,7 +112,7 @@ def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
             continue
         here = np.s_[y : y + h, x : x + w]
         region = (labels[here] == i).view(np.uint8)
-        for part in _vehicles(region, evidence[here] & region, min_area):
+        for part in _vehicles(region, evidence[here] & region, dark[here] & region, min_area):
             px, py, pw, ph = cv2.boundingRect(part)
             around = np.s_[max(0, y + py - 3) : y + py + ph + 3, max(0, x + px - 3) : x + px + pw + 3]
             whole = np.zeros_like(changed[around])
@@ -118,31 +126,71 @@ def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
     return found
 
 
-def _vehicles(region: Mask, evidence: Mask, min_area: float) -> list[Mask]:
+def _vehicles(region: Mask, evidence: Mask, dark: Mask, min_area: float) -> list[Mask]:
     """The vehicles in one changed region (h, w)."""
-    region, evidence = np.pad(region, _PAD), np.pad(evidence, _PAD)
-    out = []
+    region, evidence, dark = (np.pad(m, _PAD) for m in (region, evidence, dark))
+    parts = []
     for piece in _pieces(region, min_area, _CUT_GAIN):
-        seen = evidence & piece
-        area = int(piece.sum())
-        reach = min(max(5, 0.3 * np.sqrt(area)), 2 * _PAD - 1)
-        spanned = cv2.morphologyEx(cv2.morphologyEx(seen, cv2.MORPH_CLOSE, _disc(reach)) & piece, cv2.MORPH_OPEN, _disc(3))
-        if spanned.sum() < _SPANNED * area:
-            if area < 0.4 * region.sum() and seen.sum() < 0.1 * area:
-                continue  # the shadow of the vehicle next to it
-            spanned = piece
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(spanned)
-        for i in range(1, count):
-            if stats[i, cv2.CC_STAT_AREA] < 0.5 * min_area:
-                continue
-            part = cv2.dilate((labels == i).view(np.uint8), _disc(2 * _RIM + 1)) & piece
-            for solid in _pieces(part, min_area, _CUT_GAIN_EVIDENCE):
-                silhouette = _smooth(solid)
-                if silhouette is None or silhouette.sum() < min_area:
-                    continue
-                if cv2.distanceTransform(silhouette, cv2.DIST_L2, 3).max() >= _THICK * np.sqrt(min_area):
-                    out.append(silhouette[_PAD:-_PAD, _PAD:-_PAD])
+        for part in _spanned(piece, evidence & piece, region.sum()):
+            if part.sum() >= 0.3 * min_area:
+                parts += _pieces(part, 0.3 * min_area, _CUT_GAIN_EVIDENCE)
+    out = []
+    for part in _merged(parts, region):
+        silhouette = _smooth(part | _roof(part, dark))
+        if silhouette is None or silhouette.sum() < min_area:
+            continue
+        thickness = cv2.distanceTransform(silhouette, cv2.DIST_L2, 3).max()
+        if thickness >= max(_THICK * np.sqrt(min_area), np.sqrt(silhouette.sum() / _LONGEST) / 2):
+            out.append(silhouette[_PAD:-_PAD, _PAD:-_PAD])
     return [part for part in out if part.any()]
+
+
+def _spanned(piece: Mask, evidence: Mask, region_area: int) -> list[Mask]:
+    """The parts of a piece that evidence spans."""
+    area = int(piece.sum())
+    reach = min(max(5, 0.3 * np.sqrt(area)), 2 * _PAD - 1)
+    spanned = cv2.morphologyEx(evidence, cv2.MORPH_CLOSE, _disc(reach)) & piece
+    spanned = cv2.morphologyEx(spanned, cv2.MORPH_OPEN, _disc(3))
+    if spanned.sum() < _SPANNED * area:
+        if area < 0.4 * region_area and evidence.sum() < 0.1 * area:
+            return []  # the shadow of the vehicle next to it
+        return [piece]
+    count, labels = cv2.connectedComponents(spanned)
+    return [cv2.dilate((labels == i).view(np.uint8), _disc(2 * _RIM + 1)) & piece for i in range(1, count)]
+
+
+def _merged(parts: list[Mask], region: Mask) -> list[Mask]:
+    """Parts joined where the hull around both is nearly all changed: one vehicle with paint like the road's."""
+    parts = sorted(parts, key=lambda part: -int(part.sum()))
+    merged = True
+    while merged:
+        merged = False
+        for i, j in itertools.combinations(range(len(parts)), 2):
+            hull = _hull(parts[i] | parts[j])
+            if (hull & region).sum() >= _ONE_VEHICLE * hull.sum():
+                parts[i] = parts[i] | parts.pop(j)
+                merged = True
+                break
+    return parts
+
+
+def _roof(part: Mask, dark: Mask) -> Mask:
+    """Dark pixels right above a part: shadows lie beside and below a vehicle, so these are its roof."""
+    x, y, w, h = cv2.boundingRect(part)
+    margin = w // 8
+    roof = np.zeros_like(part)
+    above = np.s_[max(0, y - int(_ROOF * h)) : y + h // 2, x + margin : x + w - margin]
+    roof[above] = dark[above]
+    roof = cv2.morphologyEx(roof, cv2.MORPH_OPEN, _disc(3)) | part
+    _, labels = cv2.connectedComponents(roof)
+    return (labels == np.bincount(labels[part > 0]).argmax()).view(np.uint8)
+
+
+def _hull(part: Mask) -> Mask:
+    points = cv2.findNonZero(part)
+    filled = np.zeros_like(part)
+    cv2.drawContours(filled, [cv2.convexHull(points).reshape(-1, 1, 2)], -1, 1, cv2.FILLED)
+    return filled
 
 
 def _smooth(part: Mask) -> Mask | None:
