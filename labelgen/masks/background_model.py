@@ -26,10 +26,10 @@ _SAMPLES = 64
 _MODE_SHARE = 0.4
 _NOISE_RANGE = (1.5, 12.0)
 # A pixel has changed from this difference on: in grey levels, in multiples of the pixel's flicker, and in pixels of
-# sway that moving the images has not undone.
-_CHANGE_LEVELS = 13.0
+# sway that moving the images has not undone; a camera that sways does so by more than a fixed one.
+_CHANGE_LEVELS = 12.0
 _CHANGE_SIGMAS = 4.0
-_SWAY_PX = 0.3
+_SWAY_PX = {False: 0.05, True: 0.3}
 # A shift between image and model is believed if the correlation peak is this clear and the shift of this size, px.
 _SHIFT_RESPONSE = 0.5
 _SHIFT_RANGE = (0.7, 24.0)
@@ -56,6 +56,7 @@ class BackgroundModel:
         self._previous: Image | None = None
         self._still: NDArray[np.uint8] | None = None
         self._observed = 0
+        self._sways = False
 
     def prime(self, images: Iterable[Image]) -> None:
         """Learn the scene from the beginning of a video, thinned evenly to a few dozen images."""
@@ -117,6 +118,7 @@ class BackgroundModel:
         distance = float(np.hypot(dx, dy)) * 2
         if response < _SHIFT_RESPONSE or not low <= distance <= high:
             return image, (0, 0)
+        self._sways = True
         shift = round(dx * 2), round(dy * 2)
         h, w = image.shape[:2]
         # What the image does not show is taken to be empty.
@@ -138,7 +140,7 @@ class BackgroundModel:
         assert self._noise is not None
         grey = expected.mean(axis=2)
         slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX * cv2.dilate(slope, np.ones((3, 3)))
+        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * cv2.dilate(slope, np.ones((3, 3)))
 
     def changed(self, image: Image) -> BoolMask:
         """(H, W) which pixels of an aligned image differ from the background."""
