@@ -56,7 +56,8 @@ app.command("evaluate", short_help="Score tracks and speeds by the public protoc
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted."""
     try:
-        code = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        given = list(sys.argv[1:] if arguments is None else arguments)
+        code = app(args=given, prog_name="labelgen", standalone_mode=False)
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
     except KeyboardInterrupt:

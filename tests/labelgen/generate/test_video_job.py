@@ -55,7 +55,7 @@ def test_labels_are_those_of_the_exact_boxes(labelgen, clip: Path, tmp_path: Pat
         uncut = ~sample.labels.has(Flag.TRUNCATED)[found]
         assert uncut.any()
         np.testing.assert_allclose(
-            sample.labels.boxes_xyxy[found][uncut], exact.boxes_xyxy[order][uncut], atol=2.5 * size[0] / 640 + 1
+            sample.labels.boxes_xyxy[found][uncut], exact.boxes_xyxy[order][uncut], atol=2.5 if pair is Pair.VP2_VP3 else 5
         )
         np.testing.assert_allclose(sample.labels.cc[found][uncut], exact.cc[order][uncut], atol=0.03)
         np.testing.assert_allclose(sample.rectification.matrix, rectification.matrix, atol=1e-12)
@@ -170,7 +170,7 @@ def test_masks_that_give_no_label_are_listed(labelgen, clip: Path, tmp_path: Pat
     first = [a for a in data["annotations"] if a["image_id"] == 0]
     for annotation, points in zip(
         first,
-        ([[2, 2, 40, 2, 40, 30, 2, 30]], [[300, 200, 303, 200, 303, 203, 300, 203]]),
+        ([[592, 4, 632, 4, 632, 34, 592, 34]], [[300, 200, 303, 200, 303, 203, 300, 203]]),
         strict=True,
     ):
         annotation["segmentation"] = points
@@ -190,8 +190,7 @@ def test_touching_and_cut_vehicles_are_flagged(labelgen, clip: Path, tmp_path: P
     data["annotations"] = [a for a in data["annotations"] if a["image_id"] == 20]
     x0, y0 = vehicle_boxes(20)[0].min(axis=0)
     x1, y1 = vehicle_boxes(20)[0].max(axis=0)
-    middle = (x0 + x1) / 2
-    for annotation, (left, right) in zip(data["annotations"], ((x0, middle), (middle, x1)), strict=True):
+    for annotation, (left, right) in zip(data["annotations"], ((x0, x1), (x1, 2 * x1 - x0)), strict=True):
         annotation["segmentation"] = [[left, y0, right, y0, right, y1, left, y1]]
     (tmp_path / "masks.json").write_text(json.dumps(data))
     _run(labelgen, tmp_path / "out", clip, "--masks", f"coco:{tmp_path / 'masks.json'}", "--every", 20)
