@@ -11,6 +11,7 @@ from labelgen import __version__
 from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
+from labelgen.commands.demo import demo
 from labelgen.commands.evaluate import evaluate
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
@@ -49,6 +50,7 @@ app.command("inspect", short_help="Say what shards hold.")(inspect)
 app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
 app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
+app.command("demo", short_help="Synthetic traffic, labelled both ways, to look at.")(demo)
 app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
 app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
 
