@@ -48,7 +48,7 @@ class BackgroundMasks:
         self._road = None if road_mask is None else binary_mask(road_mask)
         self._score_threshold = score_threshold
         self._model = BackgroundModel()
-        self._feet: NDArray[np.uint8] | None = None
+        self._feet: NDArray[np.bool_] | None = None
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Learn the empty scene from the beginning of the video, best from a minute or more of it."""
@@ -110,7 +110,7 @@ class BackgroundMasks:
         if self._feet is None:
             # The near border of a mask is rarely drawn along the tyres.
             size = 2 * round(_FOOT_MARGIN_SHARE * self._road.shape[1]) + 1
-            self._feet = cv2.dilate(self._road.view(np.uint8), np.ones((size, size), np.uint8))
+            self._feet = cv2.dilate(self._road.view(np.uint8), np.ones((size, size), np.uint8)) > 0
         h = crop.shape[0]
         top = h - max(1, round(_FOOT_SHARE * h))
         rows, columns = np.nonzero(crop[top:])

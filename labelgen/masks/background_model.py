@@ -10,12 +10,13 @@ masts sway.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BackgroundModel", "is_ghost"]
+__all__ = ["BackgroundModel", "is_ghost", "lightness", "strongest"]
 
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -86,23 +87,25 @@ class BackgroundModel:
         """Follow the scene by one image."""
         if self.background is None or self.background.shape != image.shape:
             self._begin(image)
-        assert self.background is not None and self._noise is not None
+        assert self.background is not None
+        assert self._noise is not None
         image, _ = self.align(image)
+        smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.uint8)
         if self._previous is None or self._still is None:
-            self._previous, self._still = image, np.zeros(image.shape[:2], dtype=np.uint8)
+            self._previous, self._still = smooth, np.zeros(image.shape[:2], dtype=np.uint8)
         changed = self.changed(image)
         near = cv2.dilate(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
         difference = image - self.background
-        flicker = np.abs(difference).max(axis=2)
+        flicker = strongest(np.abs(difference))
         np.clip(difference, -1, 1, out=difference)
         difference[near] = 0
         self.background += difference
         self._noise += np.where(near, 0, np.clip(flicker * 1.5 - self._noise, -0.05, 0.05)).astype(np.float32)
         np.clip(self._noise, *_NOISE_RANGE, out=self._noise)
 
-        moved = cv2.absdiff(image, self._previous).max(axis=2) > _STILL_LEVELS
+        moved = strongest(cv2.absdiff(smooth, self._previous)) > _STILL_LEVELS
         self._still = np.where(moved | ~changed, 0, np.minimum(self._still, 254) + 1).astype(np.uint8)
-        self._previous = image
+        self._previous = smooth
         self._observed += 1
         if self._observed % _STILL_GHOST == 0:
             self._absorb(image)
@@ -110,7 +113,8 @@ class BackgroundModel:
 
     def align(self, image: Image) -> tuple[Image, tuple[int, int]]:
         """The image moved onto the model by whole pixels, and by how many (x, y) it was moved."""
-        assert self._edges is not None and self.background is not None
+        assert self._edges is not None
+        assert self.background is not None
         here = _edges(image.astype(np.float32))
         window = cv2.createHanningWindow((here.shape[1], here.shape[0]), cv2.CV_32F)
         (dx, dy), response = cv2.phaseCorrelate(here, self._edges, window)
@@ -138,15 +142,17 @@ class BackgroundModel:
     def threshold(self, expected: Plane) -> Plane:
         """(H, W) difference, in grey levels, that neither flicker nor sway explains."""
         assert self._noise is not None
-        grey = expected.mean(axis=2)
+        grey = lightness(expected)
         slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * cv2.dilate(slope, np.ones((3, 3)))
+        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * cv2.dilate(
+            slope, np.ones((3, 3))
+        )
 
     def changed(self, image: Image) -> BoolMask:
         """(H, W) which pixels of an aligned image differ from the background."""
         expected = self.expected(image)
-        difference = np.abs(cv2.blur(image, (3, 3)) - expected).max(axis=2)
-        return np.asarray(difference > self.threshold(expected))
+        smooth = cv2.blur(image, (3, 3)).astype(np.float32)
+        return np.asarray(strongest(cv2.absdiff(smooth, expected)) > self.threshold(expected))
 
     def _begin(self, image: Image) -> None:
         self.background = image.astype(np.float32)
@@ -155,7 +161,8 @@ class BackgroundModel:
         self._previous = None
 
     def _absorb(self, image: Image) -> None:
-        assert self._still is not None and self.background is not None
+        assert self._still is not None
+        assert self.background is not None
         still = (self._still >= _STILL_GHOST).view(np.uint8)
         still = cv2.morphologyEx(still, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(still)
@@ -176,17 +183,28 @@ class BackgroundModel:
             expected = self.expected(image)
             smooth = cv2.blur(image, (3, 3)).astype(np.float32)
             changed = self.changed(image)
-            light = smooth.mean(axis=2)
-            ratio = (light + 4) / (expected.mean(axis=2) + 4)
+            light = lightness(smooth)
+            ratio = (light + 4) / (lightness(expected) + 4)
             inside = cv2.erode(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
             slope = np.abs(cv2.Sobel(light, cv2.CV_32F, 1, 0)) + np.abs(cv2.Sobel(light, cv2.CV_32F, 0, 1))
-            colour = np.abs(smooth - expected * ratio[..., None]).max(axis=2)
+            colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
             flat = inside & (slope < 25) & (colour < 10)
             counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
         if counts.sum() < 200:
             return _TYPICAL_SHADOW
         smoothed = np.convolve(counts, [1, 2, 1], mode="same")
         return float((smoothed.argmax() + 0.5) / counts.size)
+
+
+def lightness(picture: Plane) -> Plane:
+    """(H, W) mean of the channels of (H, W, 3)."""
+    return np.asarray(cv2.transform(picture, np.full((1, 3), 1 / 3)))
+
+
+def strongest(picture: NDArray[Any]) -> NDArray[Any]:
+    """(H, W) greatest of the channels of (H, W, 3)."""
+    blue, green, red = cv2.split(picture)
+    return np.asarray(cv2.max(cv2.max(blue, green), red))
 
 
 def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
@@ -202,14 +220,14 @@ def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
         return False
     strengths = []
     for picture in (image, background):
-        grey = np.asarray(picture, dtype=np.float32).mean(axis=2)
+        grey = lightness(np.asarray(picture, dtype=np.float32))
         strengths.append(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))[rim].mean())
     return bool(strengths[1] > 1.5 * strengths[0])
 
 
 def _edges(picture: Plane) -> Plane:
     """Edge strength at half size, strong edges cut off so that vehicles do not lead the alignment."""
-    grey = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).mean(axis=2)
+    grey = lightness(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     return np.minimum(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), 80)
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.masks.background_model import BackgroundModel, is_ghost
+from labelgen.masks.background_model import BackgroundModel, is_ghost, lightness, strongest
 
 __all__ = ["Silhouette", "evidence_maps", "find_silhouettes"]
 
@@ -65,24 +66,28 @@ def _disc(size: float) -> Mask:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
+def _morph(mask: NDArray[Any], operation: int, size: float) -> Mask:
+    return np.asarray(cv2.morphologyEx(mask, operation, _disc(size)), dtype=np.uint8)
+
+
 def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask, Mask]:
     """Changed pixels, those of them that no shadow explains, and the dark ones; (H, W) uint8 of 0 and 1 each."""
     expected = model.expected(image)
     threshold = model.threshold(expected)
     smooth = cv2.blur(image, (3, 3)).astype(np.float32)
-    difference = np.abs(smooth - expected).max(axis=2)
+    difference = strongest(cv2.absdiff(smooth, expected))
     changed = difference > np.maximum(threshold, _BORDER_SHARE * cv2.dilate(difference, _disc(5)))
     changed_u8 = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
 
-    light, light_before = smooth.mean(axis=2), expected.mean(axis=2)
+    light, light_before = lightness(smooth), lightness(expected)
     ratio = (light + 4) / (light_before + 4)
     brighter = light - light_before > threshold
     black = ratio < min(_BLACK[0], _BLACK[1] * model.shadow)
-    colour = np.abs(smooth - expected * ratio[..., None]).max(axis=2) > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
-    inside = cv2.erode(changed_u8, _disc(2 * _RIM + 1), borderValue=1)
+    colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None])) > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
+    inside = _morph(changed_u8, cv2.MORPH_ERODE, 2 * _RIM + 1)
     # Outlines of dark things are blurred further inwards than a fixed rim: up to where the difference levels out.
     peak = cv2.dilate(difference, _disc(7))
-    blurred = (difference < _LEVEL_SHARE * peak) & (cv2.erode(changed_u8, _disc(11), borderValue=1) == 0)
+    blurred = (difference < _LEVEL_SHARE * peak) & (_morph(changed_u8, cv2.MORPH_ERODE, 11) == 0)
     inside[blurred] = 0
     # Texture that the ground has too shows through a shadow.
     new = _range(light, inside) - _range(light_before, np.ones_like(inside)) * np.minimum(ratio, 1)
@@ -104,7 +109,7 @@ def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
     changed, evidence, dark = evidence_maps(image, model)
     min_area = _MIN_AREA_SHARE * changed.size
     found = []
-    joined = cv2.morphologyEx(changed, cv2.MORPH_CLOSE, _disc(5))
+    joined = _morph(changed, cv2.MORPH_CLOSE, 5)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
     for i in range(1, count):
         x, y, w, h, area = stats[i].tolist()
@@ -149,14 +154,14 @@ def _spanned(piece: Mask, evidence: Mask, region_area: int) -> list[Mask]:
     """The parts of a piece that evidence spans."""
     area = int(piece.sum())
     reach = min(max(5, 0.3 * np.sqrt(area)), 2 * _PAD - 1)
-    spanned = cv2.morphologyEx(evidence, cv2.MORPH_CLOSE, _disc(reach)) & piece
-    spanned = cv2.morphologyEx(spanned, cv2.MORPH_OPEN, _disc(3))
+    spanned = _morph(evidence, cv2.MORPH_CLOSE, reach) & piece
+    spanned = _morph(spanned, cv2.MORPH_OPEN, 3)
     if spanned.sum() < _SPANNED * area:
         if area < 0.4 * region_area and evidence.sum() < 0.1 * area:
             return []  # the shadow of the vehicle next to it
         return [piece]
     count, labels = cv2.connectedComponents(spanned)
-    return [cv2.dilate((labels == i).view(np.uint8), _disc(2 * _RIM + 1)) & piece for i in range(1, count)]
+    return [_morph((labels == i).view(np.uint8), cv2.MORPH_DILATE, 2 * _RIM + 1) & piece for i in range(1, count)]
 
 
 def _merged(parts: list[Mask], region: Mask) -> list[Mask]:
@@ -181,7 +186,7 @@ def _roof(part: Mask, dark: Mask) -> Mask:
     roof = np.zeros_like(part)
     above = np.s_[max(0, y - int(_ROOF * h)) : y + h // 2, x + margin : x + w - margin]
     roof[above] = dark[above]
-    roof = cv2.morphologyEx(roof, cv2.MORPH_OPEN, _disc(3)) | part
+    roof = _morph(roof, cv2.MORPH_OPEN, 3) | part
     _, labels = cv2.connectedComponents(roof)
     return (labels == np.bincount(labels[part > 0]).argmax()).view(np.uint8)
 
@@ -246,11 +251,11 @@ def _cut(
         return None
     n = len(contour)
     defects = defects.reshape(-1, 4)  # (N, 1, 4) before OpenCV 5
-    deepest = defects[np.argsort(-defects[:, 3], kind="stable")][:3]
+    deepest = defects[np.argsort(-defects[:, 3], kind="stable")][:2]
     best, best_sum = None, (1 - gain) * whole
     for start in (int(d[2]) for d in deepest if d[3] / 256 > 2):
         rolled = np.roll(contour, -start, axis=0)
-        for k in range(n // 10, n - n // 10, max(1, n // 60)):
+        for k in range(n // 10, n - n // 10, max(1, n // 48)):
             one, two = rolled[: k + 1], np.concatenate([rolled[k:], rolled[:1]])
             hulls = cv2.contourArea(cv2.convexHull(one)) + cv2.contourArea(cv2.convexHull(two))
             if hulls < best_sum and min(cv2.contourArea(one), cv2.contourArea(two)) >= _CUT_SHARE * area:
