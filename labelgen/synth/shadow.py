@@ -24,14 +24,14 @@ _SKY_DIRECTIONS = 24
 
 @dataclass(frozen=True, eq=False)
 class GroundShadow:
-    """Light that is left on the road around a vehicle.
+    """Shadow on the road around a vehicle.
 
     Args:
-        left: (h, w) float32, share of the open road's light, 1 at the border.
+        left: (h, w) uint8, what is left of the open road's grey levels, 255 (all of them) at the border.
         to_body: (3, 3) map px -> metres x, y in the road frame relative to the vehicle's origin.
     """
 
-    left: NDArray[np.float32]
+    left: NDArray[np.uint8]
     to_body: NDArray[np.float64]
 
 
@@ -91,4 +91,6 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     fade = np.clip(margin / (0.5 / _CELL), 0, 1).astype(np.float32)
     left = 1 - fade * (1 - left)
     to_body = np.array([[_CELL, 0, -half[0] + _CELL / 2], [0, _CELL, -half[1] + _CELL / 2], [0, 0, 1]])
-    return GroundShadow(left.astype(np.float32), to_body)
+    # The picture's grey levels follow the camera's gamma.
+    levels = 255 * np.clip(left, 0, 1) ** (1 / 2.2)
+    return GroundShadow(levels.round().astype(np.uint8), to_body)

@@ -19,7 +19,7 @@ from labelgen.errors import OutputError
 __all__ = ["VideoWriter"]
 
 _CODECS: tuple[tuple[str, dict[str, str]], ...] = (
-    ("libx264", {"crf": "21", "preset": "veryfast", "bf": "0", "threads": "1"}),
+    ("libx264", {"crf": "21", "preset": "superfast", "bf": "0", "threads": "1"}),
     ("mpeg4", {"qscale": "3", "bf": "0"}),
 )
 
