@@ -90,7 +90,10 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     )
     fade = np.clip(margin / (0.5 / _CELL), 0, 1).astype(np.float32)
     left = 1 - fade * (1 - left)
-    to_body = np.array([[_CELL, 0, -half[0] + _CELL / 2], [0, _CELL, -half[1] + _CELL / 2], [0, 0, 1]])
     # The picture's grey levels follow the camera's gamma.
-    levels = 255 * np.clip(left, 0, 1) ** (1 / 2.2)
-    return GroundShadow(levels.round().astype(np.uint8), to_body)
+    levels = (255 * np.clip(left, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
+    x, y, w, h = cv2.boundingRect((levels < 252).astype(np.uint8))
+    to_body = np.array(
+        [[_CELL, 0, x * _CELL - half[0] + _CELL / 2], [0, _CELL, y * _CELL - half[1] + _CELL / 2], [0, 0, 1]]
+    )
+    return GroundShadow(levels[y : y + h, x : x + w].copy(), to_body)
