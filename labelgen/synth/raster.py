@@ -193,7 +193,7 @@ def _light_on(
         amb_g += metal * 0.5 * (eg - amb_g)
         amb_b += metal * 0.5 * (eb - amb_b)
     elif material == GLASS:
-        fresnel = 0.06 + 0.94 * away * away * away * away
+        fresnel = 0.11 + 0.89 * away * away * away * away
         if sharp:
             gleam = 25.0 * toward_sun**600
         lambert *= 0.5

@@ -218,9 +218,9 @@ class Renderer:
             count = (ids.reshape(size[1], ss, size[0], ss) >= 0).sum(axis=(1, 3))
         else:
             pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
-            skin = placed.vehicle.skin
+            skin, maps = placed.vehicle.skin.level(float(np.median(depth)) / camera.focal)
             layer, count = shade(
-                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, skin.maps, skin.image,
+                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin,
                 placed.vehicle.paint, self._packed, pose, self.light.exposure, CURVE, origin, ss,
             )  # fmt: skip
             layer = self._soften(layer, placed)

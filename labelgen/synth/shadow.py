@@ -37,7 +37,7 @@ class GroundShadow:
 
 def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
     """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less."""
-    points = vehicle.mesh.vertices
+    points = _with_points_on_long_edges(vehicle)
     length = vehicle.size_lwh[0]
     edges = np.linspace(-length / 2, length / 2, 7)
     pieces = []
@@ -46,6 +46,16 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
         if len(piece) > 3:
             pieces.append(piece)
     return pieces or [points]
+
+
+def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
+    """The mesh's vertices, and points every few decimetres where edges are long, as those of a box body."""
+    vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.triangles
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    long = np.abs(b - a)[:, 0] > 0.6
+    share = np.linspace(0, 1, 40)[:, None, None]
+    return np.concatenate([vertices, (a[long] + share * (b[long] - a[long])).reshape(-1, 3)])
 
 
 def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
