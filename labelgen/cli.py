@@ -11,8 +11,11 @@ from labelgen import __version__
 from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
+from labelgen.commands.demo import demo
+from labelgen.commands.evaluate import evaluate
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
+from labelgen.commands.synth import synth_app
 from labelgen.errors import LabelgenError
 
 __all__ = ["app", "main"]
@@ -47,12 +50,16 @@ app.command("inspect", short_help="Say what shards hold.")(inspect)
 app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
 app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
+app.command("demo", short_help="Synthetic traffic, labelled both ways, to look at.")(demo)
+app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
+app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted."""
     try:
-        code = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        given = list(sys.argv[1:] if arguments is None else arguments)
+        code = app(args=given, prog_name="labelgen", standalone_mode=False)
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
     except KeyboardInterrupt:

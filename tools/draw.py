@@ -90,9 +90,15 @@ def draw_label(
 def draw_text(
     image: Picture, text: str, origin: tuple[int, int], scale: float = 0.4, colour: Sequence[int] = WHITE
 ) -> None:
-    """Write ASCII text with a dark edge, in place; `origin` is its lower left corner."""
-    for tone, width in (((0, 0, 0), 3), (tuple(colour), 1)):
-        cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, tone, width, cv2.LINE_AA)
+    """Write ASCII text on a dark ground, in place; `origin` is its lower left corner."""
+    if not text:
+        return
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    x, y = origin
+    top, left = max(0, y - height - 3), max(0, x - 3)
+    ground = image[top : y + 5, left : x + width + 3]
+    ground[:] = ground // 3
+    cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, tuple(colour), 1, cv2.LINE_AA)
 
 
 def crop_around(image: Picture, box_xyxy: ArrayLike, margin: float, size: int) -> tuple[Picture, NDArray[np.float64]]:

@@ -64,9 +64,8 @@ def boxcars(
     manifest = load_manifest("boxcars116k")
     chosen_pair = Pair.parse(pair)
     size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])
-    data = BoxCars(
-        find_root(manifest, root), manifest["layout"], manifest["splits"]["name"] if split is None else split
-    )
+    folder = find_root(manifest, root)
+    data = BoxCars(folder, manifest["layout"], split, default_split=manifest["splits"]["name"])
     names = _camera_names(cameras, manifest["exclusions"]["cameras"], [*data.cameras, *data.bad_cameras])
     job = boxcars_job(
         data,

@@ -10,6 +10,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -90,7 +91,8 @@ def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -
     sizes = [unit.size for unit in todo]
     total = sum(size for size in sizes if size is not None) if None not in sizes else None
     count = min(workers or len(os.sched_getaffinity(0)), len(todo))
-    with tqdm(total=total, unit="img", dynamic_ncols=True, smoothing=0.1) as bar:
+    interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line now and then
+    with tqdm(total=total, unit="img", dynamic_ncols=True, smoothing=0.1, mininterval=interval) as bar:
         if count <= 1:
             for unit in todo:
                 unit.run(out, bar.update)

@@ -184,7 +184,7 @@ class VideoUnit:
     def _there(self, out: Path) -> list[ShardReader]:
         """Shards on disk, in order, up to the first gap."""
         readers: list[ShardReader] = []
-        while reader := finished_part(self._path(out, len(readers))):
+        while (reader := finished_part(self._path(out, len(readers)))) is not None:
             readers.append(reader)
         return readers
 
@@ -261,8 +261,8 @@ class VideoUnit:
                 break
             taken += 1
             if taken <= skip:
-                if stride:
-                    source.observe(frame.image)
+                if stride:  # a background model comes to the same state only by doing the same work
+                    source.masks([frame.image], [frame.number], [frame.name])
                 yield frame, None
                 continue
             batch.append(frame)

@@ -179,7 +179,8 @@ def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rul
         shift = _TANGENT_SHIFT * np.sqrt(1 + slopes**2) / depths
         ahead, _ = _candidates(slopes + shift, *frame, on_side=on_side, towards=slopes)
         behind, _ = _candidates(slopes - shift, *frame, on_side=on_side, towards=slopes)
-        weight = 1 / np.maximum(np.abs(ahead - behind) / 2, 1e-6) ** 2
+        with np.errstate(invalid="ignore"):  # infinite only where not valid
+            weight = 1 / np.maximum(np.abs(ahead - behind) / 2, 1e-6) ** 2
         # A weighted mean may leave its terms' range by a rounding error.
         chosen = np.clip((c * weight).sum(axis=1) / weight.sum(axis=1), c.min(axis=1), c.max(axis=1))
     # Back to shares of the box's height, measured from its top in the unflipped image.

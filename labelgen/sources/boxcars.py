@@ -60,13 +60,16 @@ class BoxCars:
     Args:
         root: its folder.
         layout: from the data manifest.
-        split: name of the classification split to look up, where the file exists.
+        split: name of the classification split to look up; None for none.
+        default_split: the one to look up without `split`, where the data set has it.
 
     Raises:
         DataError: wrong layout or damaged files.
     """
 
-    def __init__(self, root: Path, layout: Mapping[str, Any], split: str = "") -> None:
+    def __init__(
+        self, root: Path, layout: Mapping[str, Any], split: str | None = None, *, default_split: str = ""
+    ) -> None:
         self.root = root
         present = [root / name for name in layout["annotations"] if (root / name).is_file()]
         if not present:
@@ -77,14 +80,14 @@ class BoxCars:
         self.annotations = present[0]
         self.images = root / layout["images"]
         self._atlas_path = root / layout["atlas"]
-        self._atlas: Any = None
-        if not self.images.is_dir() and not self._atlas_path.is_file():
+        if self.from_atlas and not self._atlas_path.is_file():
             raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
+        self._atlas = load_pickle(self._atlas_path) if self.from_atlas else None
         data = _load_annotations(self.annotations)
         self._samples: list[Any] = data["samples"]
         self.cameras, self.bad_cameras = _cameras(data["cameras"])
         self.vanishing_points = {name: _vps(data["cameras"][name], camera) for name, camera in self.cameras.items()}
-        self._splits = _load_splits(root / layout["splits"], split)
+        self._splits = _load_splits(root / layout["splits"], split, default_split)
 
     def __getstate__(self) -> dict[str, Any]:
         # Worker processes get their instances with the work and need only what reads crops.
@@ -129,8 +132,6 @@ class BoxCars:
         return image  # type: ignore[return-value]
 
     def _from_atlas(self, instance: Instance) -> NDArray[np.uint8]:
-        if self._atlas is None:
-            self._atlas = load_pickle(self._atlas_path)
         try:
             encoded = self._atlas[instance.vehicle][instance.number]
             return np.frombuffer(encoded, dtype=np.uint8)
@@ -174,16 +175,22 @@ def _vps(entry: Mapping[str, Any], camera: Camera) -> Array:
     return np.stack([camera.vp1, camera.vp2, vp3])
 
 
-def _load_splits(path: Path, name: str) -> dict[int, Split]:
-    if not name or not path.is_file():
+def _load_splits(path: Path, asked: str | None, default: str) -> dict[int, Split]:
+    if not path.is_file():
+        if asked:
+            raise DataError(f"--split {asked}: there is no {path}")
         return {}
     data = load_pickle(path)
+    known = data if isinstance(data, dict) else {}
+    name = asked or default
+    if name not in known:
+        if asked:
+            raise DataError(f"--split {asked}: not in {path}; it has {', '.join(map(str, known)) or 'none'}")
+        return {}
     try:
-        chosen = data[name]
-        return {int(vehicle): split for part, split in _SPLITS.items() for vehicle, _ in chosen[part]}
+        return {int(vehicle): split for part, split in _SPLITS.items() for vehicle, _ in known[name][part]}
     except (KeyError, TypeError, ValueError):
-        known = ", ".join(map(str, data)) if isinstance(data, dict) else "none"
-        raise DataError(f"{path}: no classification split {name!r}; it has: {known}") from None
+        raise DataError(f"{path}: split {name!r} is not of the form train, validation, test") from None
 
 
 def _damaged(vehicle: int, number: int, problem: str) -> Instance:

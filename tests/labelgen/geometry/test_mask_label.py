@@ -172,7 +172,9 @@ def test_touching_the_pictures_border_is_like_any_other_place():
     assert full.valid.all()
 
 
-@pytest.mark.parametrize("vpu", [(300.0, 100.0), (300.0, 180.0), (0.0, 180.0), (300.0, 280.0), (np.nan, -50.0), (300.0, -np.inf)])
+@pytest.mark.parametrize(
+    "vpu", [(300.0, 100.0), (300.0, 180.0), (0.0, 180.0), (300.0, 280.0), (np.nan, -50.0), (300.0, -np.inf)]
+)
 def test_without_tangents_there_is_no_label(vpu):
     mask = np.zeros((360, 640), bool)
     mask[100:280, 180:460] = True
@@ -230,7 +232,7 @@ def test_the_fine_raster_agrees_with_the_pictures_own(rectification):
     rows, columns = np.nonzero(mask)
     corners = rectification.points(np.stack([columns, rows], axis=1)[:, None] + [[0, 0], [1, 0], [0, 1], [1, 1]])
     exact = [*corners.min(axis=(0, 1)), *corners.max(axis=(0, 1))]
-    np.testing.assert_allclose(fine.box_xyxy, exact, atol=1.0)
+    np.testing.assert_allclose(fine.box_xyxy, exact, atol=0.3)
 
 
 def test_what_lies_outside_the_picture_is_cut(rectification):

@@ -1,0 +1,244 @@
+"""What the empty scene looks like, pixel by pixel, how much it flickers, and how dark its shadows are.
+
+The model starts as the most frequent colour of each pixel over the beginning of a video, which survives dense traffic
+better than the median, and then follows the light by one grey level at a time (the sigma-delta filter of Manzanera &
+Richefeu 2007, which tracks the median), nowhere near a vehicle. What stands still for long becomes background; what
+the model shows and the scene has lost ("ghosts") is dropped at once. Images are first moved onto the model: bridges and
+masts sway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BackgroundModel", "is_ghost", "lightness", "strongest"]
+
+Image = NDArray[np.uint8]
+Plane = NDArray[np.float32]
+BoolMask = NDArray[np.bool_]
+
+_SAMPLES = 64
+# Half of what is seen of a pixel may be vehicles: the mode is sought in the densest 40 % of the samples.
+_MODE_SHARE = 0.4
+_NOISE_RANGE = (1.5, 12.0)
+# A pixel has changed from this difference on: in grey levels, in multiples of the pixel's flicker, and in pixels of
+# sway that moving the images has not undone; a camera that sways does so by more than a fixed one.
+_CHANGE_LEVELS = 12.0
+_CHANGE_SIGMAS = 4.0
+_SWAY_PX = {False: 0.05, True: 0.3}
+# A shift between image and model is believed if the correlation peak is this clear and the shift of this size, px.
+_SHIFT_RESPONSE = 0.5
+_SHIFT_RANGE = (0.7, 24.0)
+# Observations of standing still until a ghost, and until anything, becomes background.
+_STILL_GHOST = 8
+_STILL_FOREVER = 120
+_STILL_LEVELS = 8
+_TYPICAL_SHADOW = 0.55
+
+
+class BackgroundModel:
+    """The empty scene of a fixed camera. Images are (H, W, 3) uint8 BGR, all of one size.
+
+    Attributes:
+        background: (H, W, 3) float32 BGR; None before the first image.
+        shadow: how bright a flat cast shadow typically is, relative to the ground without it.
+    """
+
+    def __init__(self) -> None:
+        self.background: Plane | None = None
+        self.shadow = _TYPICAL_SHADOW
+        self._noise: Plane | None = None
+        self._edges: Plane | None = None
+        self._previous: Image | None = None
+        self._still: NDArray[np.uint8] | None = None
+        self._observed = 0
+        self._sways = False
+
+    def prime(self, images: Iterable[Image]) -> None:
+        """Learn the scene from the beginning of a video, thinned evenly to a few dozen images."""
+        samples: list[Image] = []
+        step = 1
+        for number, image in enumerate(images):
+            if number % step:
+                continue
+            samples.append(image)
+            if len(samples) == 2 * _SAMPLES:
+                samples, step = samples[::2], step * 2
+        if not samples:
+            return
+        # In the middle of the recording's sway, so that all others have the shortest way.
+        self._begin(samples[len(samples) // 2])
+        stack = np.stack([self.align(image)[0] for image in samples])
+        background, noise = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:3], np.float32)
+        for row in range(0, stack.shape[1], 32):
+            mode, spread = _mode(stack[:, row : row + 32])
+            background[row : row + 32], noise[row : row + 32] = mode, spread
+        self.background = background
+        self._noise = cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5))
+        self._edges = _edges(background)
+        self.shadow = self._shadow_level(stack[:: max(1, len(stack) // 24)])
+
+    def observe(self, image: Image) -> None:
+        """Follow the scene by one image."""
+        if self.background is None or self.background.shape != image.shape:
+            self._begin(image)
+        assert self.background is not None
+        assert self._noise is not None
+        image, _ = self.align(image)
+        smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.uint8)
+        if self._previous is None or self._still is None:
+            self._previous, self._still = smooth, np.zeros(image.shape[:2], dtype=np.uint8)
+        changed = self.changed(image)
+        near = cv2.dilate(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        difference = image - self.background
+        flicker = strongest(np.abs(difference))
+        np.clip(difference, -1, 1, out=difference)
+        difference[near] = 0
+        self.background += difference
+        self._noise += np.where(near, 0, np.clip(flicker * 1.5 - self._noise, -0.05, 0.05)).astype(np.float32)
+        np.clip(self._noise, *_NOISE_RANGE, out=self._noise)
+
+        moved = strongest(cv2.absdiff(smooth, self._previous)) > _STILL_LEVELS
+        self._still = np.where(moved | ~changed, 0, np.minimum(self._still, 254) + 1).astype(np.uint8)
+        self._previous = smooth
+        self._observed += 1
+        if self._observed % _STILL_GHOST == 0:
+            self._absorb(image)
+            self._edges = _edges(self.background)
+
+    def align(self, image: Image) -> tuple[Image, tuple[int, int]]:
+        """The image moved onto the model by whole pixels, and by how many (x, y) it was moved."""
+        assert self._edges is not None
+        assert self.background is not None
+        here = _edges(image.astype(np.float32))
+        window = cv2.createHanningWindow((here.shape[1], here.shape[0]), cv2.CV_32F)
+        (dx, dy), response = cv2.phaseCorrelate(here, self._edges, window)
+        low, high = _SHIFT_RANGE
+        distance = float(np.hypot(dx, dy)) * 2
+        if response < _SHIFT_RESPONSE or not low <= distance <= high:
+            return image, (0, 0)
+        self._sways = True
+        shift = round(dx * 2), round(dy * 2)
+        h, w = image.shape[:2]
+        # What the image does not show is taken to be empty.
+        moved = np.rint(self.background).astype(np.uint8)
+        to_x, to_y = (np.s_[max(0, d) : n + min(0, d)] for d, n in zip(shift, (w, h), strict=True))
+        from_x, from_y = (np.s_[max(0, -d) : n + min(0, -d)] for d, n in zip(shift, (w, h), strict=True))
+        moved[to_y, to_x] = image[from_y, from_x]
+        return moved, shift
+
+    def expected(self, image: Image) -> Plane:
+        """(H, W, 3) the slightly smoothed background at the exposure of an image, which cameras keep changing."""
+        assert self.background is not None
+        now, then = image[::4, ::4].reshape(-1, 3).astype(np.float32), self.background[::4, ::4].reshape(-1, 3)
+        gains = np.clip(np.median((now + 8) / (then + 8), axis=0), 0.7, 1.4).astype(np.float32)
+        return cv2.blur(self.background * gains, (3, 3))
+
+    def threshold(self, expected: Plane) -> Plane:
+        """(H, W) difference, in grey levels, that neither flicker nor sway explains."""
+        assert self._noise is not None
+        grey = lightness(expected)
+        slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
+        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * cv2.dilate(
+            slope, np.ones((3, 3))
+        )
+
+    def changed(self, image: Image) -> BoolMask:
+        """(H, W) which pixels of an aligned image differ from the background."""
+        expected = self.expected(image)
+        smooth = cv2.blur(image, (3, 3)).astype(np.float32)
+        return np.asarray(strongest(cv2.absdiff(smooth, expected)) > self.threshold(expected))
+
+    def _begin(self, image: Image) -> None:
+        self.background = image.astype(np.float32)
+        self._noise = np.full(image.shape[:2], 3.0, dtype=np.float32)
+        self._edges = _edges(self.background)
+        self._previous = None
+
+    def _absorb(self, image: Image) -> None:
+        assert self._still is not None
+        assert self.background is not None
+        still = (self._still >= _STILL_GHOST).view(np.uint8)
+        still = cv2.morphologyEx(still, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(still)
+        for i in range(1, count):
+            x, y, w, h, _ = stats[i].tolist()
+            here = np.s_[max(0, y - 3) : y + h + 3, max(0, x - 3) : x + w + 3]
+            part = labels[here] == i
+            old = self._still[here][part].mean() >= _STILL_FOREVER
+            if old or is_ghost(part, image[here], self.background[here]):
+                grown = cv2.dilate(part.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+                self.background[here][grown] = image[here][grown]
+                self._still[here][grown] = 0
+
+    def _shadow_level(self, images: Image) -> float:
+        """Most frequent brightness, relative to the scene, of what is flat, dark and of the scene's colour."""
+        counts = np.zeros(20, dtype=np.int64)
+        for image in images:
+            expected = self.expected(image)
+            smooth = cv2.blur(image, (3, 3)).astype(np.float32)
+            changed = self.changed(image)
+            light = lightness(smooth)
+            ratio = (light + 4) / (lightness(expected) + 4)
+            inside = cv2.erode(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            slope = np.abs(cv2.Sobel(light, cv2.CV_32F, 1, 0)) + np.abs(cv2.Sobel(light, cv2.CV_32F, 0, 1))
+            colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
+            flat = inside & (slope < 25) & (colour < 10)
+            counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
+        if counts.sum() < 200:
+            return _TYPICAL_SHADOW
+        smoothed = np.convolve(counts, [1, 2, 1], mode="same")
+        return float((smoothed.argmax() + 0.5) / counts.size)
+
+
+def lightness(picture: Plane) -> Plane:
+    """(H, W) mean of the channels of (H, W, 3)."""
+    return np.asarray(cv2.transform(picture, np.full((1, 3), 1 / 3)))
+
+
+def strongest(picture: NDArray[Any]) -> NDArray[Any]:
+    """(H, W) greatest of the channels of (H, W, 3)."""
+    blue, green, red = cv2.split(picture)
+    return np.asarray(cv2.max(cv2.max(blue, green), red))
+
+
+def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
+    """Whether a changed region's outline is an edge of the background rather than of the image.
+
+    Args:
+        mask: (h, w) the region, with a margin of some pixels around it.
+        image, background: (h, w, 3) the same part of both.
+    """
+    kernel = np.ones((3, 3), np.uint8)
+    rim = (cv2.dilate(mask.view(np.uint8), kernel) > 0) & ~(cv2.erode(mask.view(np.uint8), kernel) > 0)
+    if not rim.any():
+        return False
+    strengths = []
+    for picture in (image, background):
+        grey = lightness(np.asarray(picture, dtype=np.float32))
+        strengths.append(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))[rim].mean())
+    return bool(strengths[1] > 1.5 * strengths[0])
+
+
+def _edges(picture: Plane) -> Plane:
+    """Edge strength at half size, strong edges cut off so that vehicles do not lead the alignment."""
+    grey = lightness(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    return np.minimum(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), 80)
+
+
+def _mode(stack: Image) -> tuple[Plane, Plane]:
+    """Mode and spread of samples (n, h, w, 3): the middle of the shortest interval that holds a share of them."""
+    ordered = np.sort(stack, axis=0)
+    n = len(ordered)
+    held = max(1, round(n * _MODE_SHARE))
+    widths = ordered[held - 1 :] - ordered[: n - held + 1]
+    start = widths.argmin(axis=0)[None]
+    low, middle, high = (
+        np.take_along_axis(ordered, start + k, axis=0)[0].astype(np.float32) for k in (0, held // 2, held - 1)
+    )
+    return middle, (high - low).max(axis=2)
