@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHROME", "GLASS", "LAMP", "LIT", "MATTE", "PAINT", "PLATE", "shade", "visible_triangles"]
+__all__ = ["CHROME", "CURVE", "GLASS", "LAMP", "LIT", "MATTE", "PAINT", "PLATE", "shade", "visible_triangles"]
 
 MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
 """Materials, as stored in the fourth channel of a skin."""
@@ -22,7 +22,7 @@ MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
 _F = NDArray[Any]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def visible_triangles(
     screen: _F, triangles: _F, size_wh: tuple[int, int], origin: tuple[float, float], ss: int, cull: bool
 ) -> _F:
@@ -78,7 +78,7 @@ def visible_triangles(
     return ids
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _environment(x: float, y: float, z: float, light: _F) -> tuple[float, float, float]:
     """Radiance of sky, horizon and road from a direction in the road frame."""
     if z < 0.0:
@@ -100,15 +100,27 @@ def _environment(x: float, y: float, z: float, light: _F) -> tuple[float, float,
     )
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _curve(value: float) -> float:
-    """Linear light to 0-255: a camera's gamma with a soft shoulder."""
-    if value > 0.6:
-        value = 0.6 + 0.4 * (1 - math.exp(-(value - 0.6) / 0.4))
-    return 255.0 * value ** (1 / 2.2)
+_CURVE_STEPS = 1024
 
 
-@numba.njit(cache=True, nogil=True)
+def _camera_curve() -> _F:
+    """Linear light, 0 to 4 in steps of 1 / 1024, to 0-255: a camera's gamma with a soft shoulder."""
+    value = np.arange(4 * _CURVE_STEPS + 2) / _CURVE_STEPS
+    value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value)
+    return np.asarray(255 * value ** (1 / 2.2), dtype=np.float32)
+
+
+CURVE = _camera_curve()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _curve(value: float, curve: _F) -> float:
+    at = min(max(value, 0.0), 4.0) * 1024
+    low = int(at)
+    return curve[low] + (at - low) * (curve[low + 1] - curve[low])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _light_on(
     x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F,
     paint: _F, light: _F, pose: _F,
@@ -161,12 +173,15 @@ def _light_on(
     er, eg, eb = _environment(rx * heading, ry * heading, rz, light)
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
     away = 1 - facing
+    sharp = toward_sun > 0.8
     fresnel = 0.04 + 0.96 * away * away * away * away * away
     gleam, spread = 0.0, 0.0
     if material == PAINT:
         metal = paint[0]
-        spread = metal * 0.8 * toward_sun**12
-        gleam = paint[1] * 12.0 * toward_sun**350
+        squared = toward_sun * toward_sun * toward_sun
+        spread = metal * 0.8 * squared * squared * squared * squared
+        if sharp:
+            gleam = paint[1] * 12.0 * toward_sun**350
         fresnel *= paint[1]
         grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
         red += (0.16 - red) * grime
@@ -178,15 +193,18 @@ def _light_on(
         amb_g += metal * 0.5 * (eg - amb_g)
         amb_b += metal * 0.5 * (eb - amb_b)
     elif material == GLASS:
-        fresnel = 0.06 + 0.94 * away * away * away * away
-        gleam = 25.0 * toward_sun**600
+        fresnel = 0.11 + 0.89 * away * away * away * away
+        if sharp:
+            gleam = 25.0 * toward_sun**600
         lambert *= 0.5
     elif material == LAMP:
         fresnel = 0.10 + 0.9 * away * away * away * away * away
-        gleam = 10.0 * toward_sun**200
+        if sharp:
+            gleam = 10.0 * toward_sun**200
     elif material == CHROME:
         fresnel = 0.55
-        gleam = 6.0 * toward_sun**80
+        if sharp:
+            gleam = 6.0 * toward_sun**80
         lambert *= 0.4
     else:
         fresnel *= 0.25
@@ -200,10 +218,10 @@ def _light_on(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def shade(
     ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
-    light: _F, pose: _F, exposure: float, origin: tuple[float, float], ss: int,
+    light: _F, pose: _F, exposure: float, curve: _F, origin: tuple[float, float], ss: int,
 ) -> tuple[_F, _F]:  # fmt: skip
     """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
 
@@ -220,6 +238,7 @@ def shade(
         light: (19,) `Light.packed`.
         pose: (4,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height.
         exposure: factor before the camera's curve.
+        curve: `CURVE`.
         origin: as there.
         ss: as there.
 
@@ -256,8 +275,8 @@ def shade(
                 continue
             count[r, col] = n
             alpha = n * share
-            out[r, col, 0] = _curve(blue / n) * alpha
-            out[r, col, 1] = _curve(green / n) * alpha
-            out[r, col, 2] = _curve(red / n) * alpha
+            out[r, col, 0] = _curve(blue / n, curve) * alpha
+            out[r, col, 1] = _curve(green / n, curve) * alpha
+            out[r, col, 2] = _curve(red / n, curve) * alpha
             out[r, col, 3] = alpha
     return out, count

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.light import Light
-from labelgen.synth.raster import shade, visible_triangles
+from labelgen.synth.raster import CURVE, shade, visible_triangles
 from labelgen.synth.shadow import GroundShadow, ground_shadow
 from labelgen.synth.vehicles import Vehicle
 
@@ -179,12 +179,16 @@ class Renderer:
         if window is None:
             return
         x0, y0, x1, y1 = window
+        # Shadows are soft: half the resolution does.
+        half = (max((x1 - x0) // 2, 1), max((y1 - y0) // 2, 1))
+        to_half = np.array(half) / (x1 - x0, y1 - y0)
         matrix = cv2.getPerspectiveTransform(
-            corners_map[:, :2].astype(np.float32), (pixels - [x0 + 0.5, y0 + 0.5]).astype(np.float32)
+            corners_map[:, :2].astype(np.float32), ((pixels - [x0, y0]) * to_half - 0.5).astype(np.float32)
         )
         left = cv2.warpPerspective(
-            shadow.left, matrix, (x1 - x0, y1 - y0), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
+            shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
+        left = cv2.resize(left, (x1 - x0, y1 - y0), interpolation=cv2.INTER_LINEAR)
         part = image[y0:y1, x0:x1]
         cv2.multiply(part, cv2.merge([left, left, left]), dst=part, scale=1 / 255)
 
@@ -214,10 +218,10 @@ class Renderer:
             count = (ids.reshape(size[1], ss, size[0], ss) >= 0).sum(axis=(1, 3))
         else:
             pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
-            skin = placed.vehicle.skin
+            skin, maps = placed.vehicle.skin.level(float(np.median(depth)) / camera.focal)
             layer, count = shade(
-                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, skin.maps, skin.image,
-                placed.vehicle.paint, self._packed, pose, self.light.exposure, origin, ss,
+                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin,
+                placed.vehicle.paint, self._packed, pose, self.light.exposure, CURVE, origin, ss,
             )  # fmt: skip
             layer = self._soften(layer, placed)
             part = image[y0:y1, x0:x1]
