@@ -54,9 +54,8 @@ def test_labels_are_those_of_the_exact_boxes(labelgen, clip: Path, tmp_path: Pat
         found = np.argsort(sample.labels.boxes_xyxy[:, 0])
         uncut = ~sample.labels.has(Flag.TRUNCATED)[found]
         assert uncut.any()
-        np.testing.assert_allclose(
-            sample.labels.boxes_xyxy[found][uncut], exact.boxes_xyxy[order][uncut], atol=2.5 if pair is Pair.VP2_VP3 else 5
-        )
+        near = 2.5 if pair is Pair.VP2_VP3 else 5  # px: VP1-VP2 magnifies the far end of the road
+        np.testing.assert_allclose(sample.labels.boxes_xyxy[found][uncut], exact.boxes_xyxy[order][uncut], atol=near)
         np.testing.assert_allclose(sample.labels.cc[found][uncut], exact.cc[order][uncut], atol=0.03)
         np.testing.assert_allclose(sample.rectification.matrix, rectification.matrix, atol=1e-12)
         assert sample.frame % 10 == 0
