@@ -24,6 +24,8 @@ Mask = NDArray[np.uint8]
 BoolMask = NDArray[np.bool_]
 
 _MIN_AREA_SHARE = 0.0006
+# With more than this changed it is the camera or the light, not traffic.
+_UPHEAVAL = 0.7
 # Blurred borders are cut where the difference falls below this share of what it is 2 px further inside.
 _BORDER_SHARE = 0.35
 _RIM = 2
@@ -109,7 +111,9 @@ def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
     assert model.background is not None
     changed, evidence, dark = evidence_maps(image, model)
     min_area = _MIN_AREA_SHARE * changed.size
-    found = []
+    found: list[Silhouette] = []
+    if changed.mean() > _UPHEAVAL:
+        return found
     joined = _morph(changed, cv2.MORPH_CLOSE, 5)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
     for i in range(1, count):

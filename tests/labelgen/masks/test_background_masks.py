@@ -97,6 +97,13 @@ def test_empty_road_gives_nothing(seen_road: MaskSource) -> None:
         assert len(look(seen_road, noisy(road(), 500 + seed))) == 0
 
 
+def test_another_scene_is_no_traffic(seen_road: MaskSource) -> None:
+    rng = np.random.default_rng(3)
+    patches = cv2.resize(rng.integers(0, 256, (9, 16, 3), dtype=np.uint8), WH, interpolation=cv2.INTER_NEAREST)
+    for scene in (rng.integers(0, 256, (WH[1], WH[0], 3), dtype=np.uint8), np.asarray(patches)):
+        assert len(look(seen_road, scene)) == 0
+
+
 def test_cast_shadow_is_left_out(seen_road: MaskSource) -> None:
     box = (300, 150, 380, 220)
     found = look(seen_road, noisy(drive(road(), box, (40, 160, 220), shadow=True), 1))
