@@ -14,6 +14,7 @@ from labelgen.commands.boxcars import boxcars
 from labelgen.commands.evaluate import evaluate
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
+from labelgen.commands.speed import speed
 from labelgen.commands.synth import synth_app
 from labelgen.errors import LabelgenError
 
@@ -50,6 +51,7 @@ app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
 app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
 app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
+app.command("speed", short_help="Tracks and speeds of the vehicles in a video.")(speed)
 app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
 
 
