@@ -13,13 +13,17 @@ from numpy.typing import NDArray
 from detector.detections import Detections
 from detector.variants import Variant, View
 from labelgen.errors import RectificationError
-from labelgen.generate.mask_labels import LABEL_LIMITS, LabelLimits, label_masks
+from labelgen.generate.mask_labels import LabelLimits, label_masks
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule
 from labelgen.labels import Labels
 from labelgen.masks import InstanceMasks, MaskSource
 from labelgen.sources.frames import Frame
 
-__all__ = ["DetectionSource", "MaskDetections", "MaskPlacer"]
+__all__ = ["SPEED_LIMITS", "DetectionSource", "MaskDetections", "MaskPlacer"]
+
+SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
+"""Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
+its foot is where it is, and without it a track would break."""
 
 _WINDOW_MARGIN_PX = 4
 _SMALLEST_WINDOW_PX = 32
@@ -61,7 +65,7 @@ class MaskPlacer:
     """
 
     def __init__(
-        self, view: View, road: RoadMask, pair: Pair, rule: Rule = Rule.WIDER, limits: LabelLimits = LABEL_LIMITS
+        self, view: View, road: RoadMask, pair: Pair, rule: Rule = Rule.WIDER, limits: LabelLimits = SPEED_LIMITS
     ) -> None:
         self.view, self.rejects = view, Counter[str]()
         self._road, self._pair, self._rule, self._limits = road.pixels, pair, rule, limits

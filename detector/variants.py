@@ -25,7 +25,7 @@ from labelgen.geometry.projective import Array
 
 __all__ = ["Variant", "View"]
 
-_CUT_PX = 1.0
+_CUT_PX = 3.0
 
 
 class Variant(StrEnum):
