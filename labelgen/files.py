@@ -13,7 +13,14 @@ from typing import Any
 
 from labelgen.errors import OutputError
 
-__all__ = ["TEMPORARY_PREFIX", "make_folder", "remove_temporary_files", "write_atomic", "write_json"]
+__all__ = [
+    "TEMPORARY_PREFIX",
+    "as_output_error",
+    "make_folder",
+    "remove_temporary_files",
+    "write_atomic",
+    "write_json",
+]
 
 TEMPORARY_PREFIX = ".labelgen-"
 
@@ -27,7 +34,8 @@ _ADVICE = {
 
 
 @contextlib.contextmanager
-def _as_output_error(path: Path) -> Iterator[None]:
+def as_output_error(path: Path) -> Iterator[None]:
+    """Turn what goes wrong with a file written inside the block into an OutputError that says how to mend it."""
     try:
         yield
     except OSError as err:
@@ -37,7 +45,7 @@ def _as_output_error(path: Path) -> Iterator[None]:
 
 def make_folder(path: Path) -> Path:
     """Create a folder with its parents; OutputError where that is not possible."""
-    with _as_output_error(path):
+    with as_output_error(path):
         path.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -48,7 +56,7 @@ def write_atomic(path: Path, data: bytes | memoryview) -> None:
     Raises:
         OutputError: the disk is full, the folder not writable, and so on; nothing is left behind.
     """
-    with _as_output_error(path):
+    with as_output_error(path):
         handle, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, suffix=".tmp", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:

@@ -65,7 +65,9 @@ def check_session(session: Path) -> dict[str, Any]:
     return {key: np.array(values) for key, values in found.items()}
 
 
-def main(sessions: Annotated[list[Path], typer.Argument(help="Folders ROOT/dataset/NAME of synthetic sessions.")]) -> None:
+def main(
+    sessions: Annotated[list[Path], typer.Argument(help="Folders ROOT/dataset/NAME of synthetic sessions.")],
+) -> None:
     """Print how well masks, 3D boxes and pixels agree."""
     import numpy as np
 
