@@ -1,8 +1,8 @@
 """Augmentation: one axis-aligned map for image, boxes, c_c and VPU, and changes of light.
 
-A map scales x and y, shifts, and may flip x. Such a map leaves c_c as it is, and takes VPU with it, so the 3D box that a
-label decodes to is mapped like everything else. Where the picture's border cuts a box, its c_c is that of the line at the
-same height in the part that is left, and not known where that line is cut away.
+A map scales x and y, shifts, and may flip x. Such a map leaves c_c as it is, and takes VPU with it, so the 3D box that
+a label decodes to is mapped like everything else. Where the picture's border cuts a box, its c_c is that of the line at
+the same height in the part that is left, and not known where that line is cut away.
 
 Source: Kocur & Ftacnik 2020, section 3.4 (ranges).
 """
@@ -93,7 +93,7 @@ class Target:
 
     @classmethod
     def of(cls, labels: Labels) -> Target:
-        """Labels as they are; the c_c of truncated ones, whose box is a part of the vehicle's, is not taken as known."""
+        """Labels as they are; the c_c of truncated ones, whose box is only a part, is not taken as known."""
         known = ~labels.has(Flag.TRUNCATED)
         return cls(labels.boxes_xyxy, np.where(known, labels.cc, 0.0), known)
 

@@ -68,7 +68,7 @@ def build_backbone(
     )
 
 
-class _NoExtraLevel(LastLevelP6P7):
+class _NoExtraLevel(LastLevelP6P7):  # type: ignore[misc]
     """Nothing above the trunk's own levels; without it, BackboneWithFPN adds a pooled one."""
 
     def __init__(self) -> None:

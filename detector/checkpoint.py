@@ -49,8 +49,7 @@ class Card:
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values."""
-        card = {**asdict(self), "pair": str(self.pair), "format": _FORMAT, "version": _VERSION}
-        return card
+        return {**asdict(self), "pair": str(self.pair), "format": _FORMAT, "version": _VERSION}
 
     @classmethod
     def from_dict(cls, data: Any, where: str) -> Card:
@@ -63,7 +62,7 @@ class Card:
             raise DataError(f"{where}: not a checkpoint of a labelgen detector; give one that `labelgen train` wrote")
         if data.get("version") != _VERSION:
             raise DataError(
-                f"{where}: checkpoint format {data.get('version')}, this labelgen reads {_VERSION}; use the other version"
+                f"{where}: checkpoint format {data.get('version')}, this labelgen reads {_VERSION}; take the other one"
             )
         try:
             config = {key: _tuples(value) for key, value in data["config"].items()}

@@ -102,8 +102,8 @@ def open_sources(
             if reader.pair is not pair or wrong_size:
                 wanted = "" if crops[0] or size_wh is None else " {}x{}".format(*size_wh)
                 raise DataError(
-                    f"{reader.path}: its pictures are {reader.pair} {'{}x{}'.format(*reader.size_wh)}, but {pair}{wanted} "
-                    "is wanted; choose the preset for these shards, or make shards of that pair and size"
+                    f"{reader.path}: its pictures are {reader.pair} {'{}x{}'.format(*reader.size_wh)}, but "
+                    f"{pair}{wanted} is wanted; choose the preset made for them, or make shards of that pair and size"
                 )
         if len(shards):
             sources.append(ShardSource(shards, float(len(shards)) if weight is None else weight, crops[0]))

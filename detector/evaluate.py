@@ -59,7 +59,7 @@ def average_precision(
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
 
-    annotations = []
+    annotations: list[dict[str, Any]] = []
     for image, (boxes, skip) in enumerate(zip(truth, ignored, strict=True)):
         for box, crowd in zip(_xywh(boxes), skip.tolist(), strict=True):
             annotations.append(
@@ -155,7 +155,7 @@ def evaluate(
         kept.append(found)
         strong = found[found.scores >= score]
         which = match_boxes(labels.boxes_xyxy, strong.boxes_xyxy, strong.scores)
-        counts += [len(labels), len(strong), np.count_nonzero(which >= 0)]
+        counts += np.array([len(labels), len(strong), np.count_nonzero(which >= 0)])
         valid.append(decode_boxes(strong.boxes_xyxy, strong.cc, sample.rectification.vpu)[1])
         right = which >= 0
         right[right] = ~cut[which[right]]

@@ -49,7 +49,7 @@ class DetectorModule(LightningModule):
         self, model: CcRetinaNet, preset: Preset, card: Card, total_steps: int, validation: ValidationSamples | None
     ) -> None:
         super().__init__()
-        self.model = model
+        self.model = model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._preset, self._card, self._total_steps = preset, card, total_steps
         self._validation = validation
         self._found: dict[int, Found] = {}
@@ -57,7 +57,7 @@ class DetectorModule(LightningModule):
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Loss of a batch."""
         losses = self.model(list(as_input(batch)), batch.targets)
-        total: Tensor = sum(losses.values())  # type: ignore[assignment]
+        total: Tensor = torch.stack(list(losses.values())).sum()
         self.log("train/loss", total, on_step=True, on_epoch=True, prog_bar=True, batch_size=len(batch))
         for name, value in losses.items():
             self.log(f"train/{name}", value, on_step=True, on_epoch=False, batch_size=len(batch))

@@ -2,9 +2,9 @@
 
     L = (L_conf + L_loc + w L_c) / N
 
-over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors that
-are positive or negative, smooth L1 (beta 1/9) over the positive ones for the box and for c_c. A label whose c_c is not
-known (`cc_known` False) is left out of L_c alone.
+over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors
+that are positive or negative, smooth L1 (beta 1/9) over the positive ones for the box and for c_c. A label whose c_c is
+not known (`cc_known` False) is left out of L_c alone.
 
 Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized.
 
@@ -66,7 +66,7 @@ class ModelConfig:
     low_quality_matches: bool = False
 
 
-class _CcRegressionHead(RetinaNetRegressionHead):
+class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
     """torchvision's box head, with c_c read off the same tower by one more convolution."""
 
     def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any = None) -> None:
@@ -74,11 +74,13 @@ class _CcRegressionHead(RetinaNetRegressionHead):
         self.cc = nn.Conv2d(in_channels, num_anchors, kernel_size=3, padding=1)
         nn.init.normal_(self.cc.weight, std=0.01)
         # c_c lies in [0, 1]: begin in the middle.
+        assert self.cc.bias is not None
         nn.init.constant_(self.cc.bias, 0.5)
 
     def forward(self, x: list[Tensor]) -> Any:
         """Per level features -> boxes (N, A, 4) and c_c (N, A), in torchvision's order of anchors."""
-        boxes, shares = [], []
+        boxes: list[Tensor] = []
+        shares: list[Tensor] = []
         for features in x:
             tower = self.conv(features)
             for out, head, width in ((boxes, self.bbox_reg, 4), (shares, self.cc, 1)):
@@ -88,7 +90,7 @@ class _CcRegressionHead(RetinaNetRegressionHead):
         return torch.cat(boxes, dim=1), torch.cat(shares, dim=1).squeeze(-1)
 
 
-class CcHead(RetinaNetHead):
+class CcHead(RetinaNetHead):  # type: ignore[misc]
     """torchvision's RetinaNet head with c_c, lighter where wanted.
 
     Args:
@@ -142,7 +144,7 @@ class CcHead(RetinaNetHead):
         return {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
 
 
-class _AsItIs(GeneralizedRCNNTransform):
+class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
     """Normalises and pads, never resizes: labels and detections are in the image's own px."""
 
     def __init__(self) -> None:
@@ -153,7 +155,7 @@ class _AsItIs(GeneralizedRCNNTransform):
         return image, target
 
 
-class CcRetinaNet(RetinaNet):
+class CcRetinaNet(RetinaNet):  # type: ignore[misc]
     """RetinaNet of one class with c_c. In training a dict of losses, else per image `boxes`, `scores`, `labels`, `cc`.
 
     Args:
@@ -172,7 +174,12 @@ class CcRetinaNet(RetinaNet):
         found = []
         for i, shape in enumerate(image_shapes):
             parts = [
-                self._candidates(*(head_outputs[key][level][i] for key in ("cls_logits", "bbox_regression", "cc")), a)
+                self._candidates(
+                    head_outputs["cls_logits"][level][i],
+                    head_outputs["bbox_regression"][level][i],
+                    head_outputs["cc"][level][i],
+                    a,
+                )
                 for level, a in enumerate(anchors[i])
             ]
             boxes, scores, cc = (torch.cat(part) for part in zip(*parts, strict=True))

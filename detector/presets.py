@@ -15,6 +15,10 @@ from labelgen.geometry import Pair
 __all__ = ["PRESETS", "Preset", "find_preset"]
 
 
+PAPER_WHOLE = Ranges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
+PAPER_CROPS = Ranges(translation=0.5, scale=(0.03, 1.0), flip=0.5)
+
+
 @dataclass(frozen=True)
 class Preset:
     """How a detector is built and trained.
@@ -54,8 +58,8 @@ class Preset:
     schedule: Literal["plateau", "cosine"] = "plateau"
     warmup_steps: int = 0
     patience: int = 0
-    whole: Ranges = Ranges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
-    crops: Ranges = Ranges(translation=0.5, scale=(0.03, 1.0), flip=0.5)
+    whole: Ranges = PAPER_WHOLE
+    crops: Ranges = PAPER_CROPS
 
 
 def _presets() -> dict[str, Preset]:

@@ -12,19 +12,16 @@ from lightning.pytorch import Trainer as LightningTrainer
 from lightning.pytorch.callbacks import EarlyStopping, LearningRateMonitor, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger
 
-from detector.evaluate import Found
 from detector.lightning_module import VALIDATION_SCORE, DetectorModule
+from detector.pictures import draw_found, tile
 from detector.presets import Preset
-from labelgen.drawing import GREEN, Picture, draw_box3d, draw_polyline, draw_text
-from labelgen.geometry import decode_boxes
-from labelgen.labels import Sample
 
 if TYPE_CHECKING:
     from detector.train import Trainer
 
-__all__ = ["PredictionPictures", "callbacks", "draw_found", "loggers"]
+__all__ = ["PredictionPictures", "callbacks", "loggers"]
 
-_PICTURES, _COLUMNS = 8, 4
+_PICTURES = 8
 
 
 def loggers(out: Path) -> list[Logger]:
@@ -73,30 +70,9 @@ class PredictionPictures(Callback):
             return
         pairs = pl_module.validation_pairs()
         chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, _PICTURES).astype(int))]
-        sheet = _sheet([draw_found(sample, found) for sample, found in chosen])
+        sheet = tile([draw_found(sample, found) for sample, found in chosen])
         self._folder.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(self._folder / f"epoch-{trainer.current_epoch:03d}.jpg"), sheet)
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.experiment.add_image("detections", sheet[:, :, ::-1], trainer.global_step, dataformats="HWC")
-
-
-def draw_found(sample: Sample, found: Found, score: float = 0.5) -> Picture:
-    """A sample's picture with its labels' boxes in green and the detections' 3D boxes."""
-    image = sample.image
-    for box in sample.labels.boxes_xyxy:
-        draw_polyline(image, box[[0, 1, 2, 1, 2, 3, 0, 3]].reshape(4, 2), GREEN, closed=True)
-    strong = found[found.scores >= score]
-    vertices, valid = decode_boxes(strong.boxes_xyxy, strong.cc, sample.rectification.vpu)
-    for box, corners, good, value in zip(strong.boxes_xyxy, vertices, valid, strong.scores, strict=True):
-        if good:
-            draw_box3d(image, corners)
-        draw_text(image, f"{value:.2f}" + ("" if good else " invalid"), (int(box[0]), max(10, int(box[1]) - 2)), 0.35)
-    return image
-
-
-def _sheet(pictures: list[Picture]) -> Picture:
-    rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
-    blank = np.zeros_like(pictures[0])
-    columns = min(_COLUMNS, len(pictures))
-    return np.asarray(np.vstack([np.hstack(row + [blank] * (columns - len(row))) for row in rows]), dtype=np.uint8)

@@ -49,11 +49,11 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     Returns:
         fps, ms per frame, and ms per frame by stage.
     """
-    import numpy as np
-
     from labelgen.synth import render, session
     from labelgen.synth.light import Weather, make_light
     from labelgen.synth.video import VideoWriter
+
+    import numpy as np
 
     rng = np.random.default_rng([seed, 1])
     scene = session.procedural_scene(rng, size_wh)
@@ -130,9 +130,7 @@ def main(
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     with tempfile.TemporaryDirectory() as folder:
         found = measure(vehicles, parse_size(size), frames, seed, Path(folder))
-    typer.echo(
-        f"{found['fps']:.1f} frames/s ({found['ms_per_frame']:.1f} ms per frame), {size}, {found['vehicles']} vehicles"
-    )
+    typer.echo(f"{found['fps']:.1f} frames/s ({found['ms_per_frame']:.1f} ms per frame), {size}, {found['vehicles']} vehicles")
     typer.echo(f"{found['vehicle_pixels_per_frame']} vehicle pixels per frame, {found['frames']} frames, one core")
     for name, ms in found["stages_ms"].items():
         typer.echo(f"{name:>20} {ms:7.2f} ms")

@@ -1,9 +1,9 @@
 """A synthetic data set in the layout of BoxCars116k.
 
-dataset.pkl, json_data/dataset.json   cameras and samples, the same content
-images/CAMERA/N/VEHICLE_INSTANCE.png  crops
-atlas.pkl                             the same crops, JPEG-encoded: [vehicle][instance]
-classification_splits.pkl             which vehicle serves for what
+    dataset.pkl, json_data/dataset.json   cameras and samples, the same content
+    images/CAMERA/N/VEHICLE_INSTANCE.png  crops
+    atlas.pkl                             the same crops, JPEG-encoded: [vehicle][instance]
+    classification_splits.pkl             which vehicle serves for what
 """
 
 from __future__ import annotations

@@ -97,13 +97,7 @@ def painting_order(vehicles: Sequence[Placed]) -> list[int]:
     order: list[int] = []
     while left:
         # The first one that hides none of the others still to be drawn; cycles fall back to the farthest.
-        free = (
-            i
-            for i in left
-            if not any(
-                behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])
-            )
-        )
+        free = (i for i in left if not any(behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])))
         chosen = next(free, left[0])
         left.remove(chosen)
         order.append(chosen)
@@ -139,11 +133,7 @@ class Renderer:
         grey = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
         colour = self._rng.normal(0, 0.6 * self.light.noise, (*shape, 3)).astype(np.float32)
         colour = cv2.GaussianBlur(colour, (0, 0), 0.8) * 1.6
-        return (
-            np.clip(128 + cv2.GaussianBlur(grey, (0, 0), 0.5)[..., None] * 1.3 + colour, 0, 255)
-            .round()
-            .astype(np.uint8)
-        )
+        return np.clip(128 + cv2.GaussianBlur(grey, (0, 0), 0.5)[..., None] * 1.3 + colour, 0, 255).round().astype(np.uint8)
 
     def frame(self, vehicles: Sequence[Placed], *, number: int = 0) -> tuple[NDArray[np.uint8], list[Drawn]]:
         """One frame and the masks of the vehicles that show in it.

@@ -31,7 +31,9 @@ _LEAD_S = 2.0
 _CALIBRATION = "system_optimal_calibration.json"
 
 
-def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[Scene, Light, dict[str, Any]]:
+def load_scene(
+    folder: Path, weather: Weather, rng: np.random.Generator
+) -> tuple[Scene, Light, dict[str, Any]]:
     """A real session, `ROOT/dataset/NAME`, with its calibration in `ROOT/results/NAME`.
 
     Args:
@@ -56,9 +58,7 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
     gt = load_pickle(folder / "gt_data.pkl")
     missing = {"cars", "measurementLines", "laneDivLines", "invalidLanes", "distanceMeasurement"} - set(gt)
     if missing:
-        raise DataError(
-            f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again"
-        )
+        raise DataError(f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again")
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
     light = _fitted_light(make_light(weather, rng), background, mask)

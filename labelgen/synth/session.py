@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from labelgen.errors import OutputError
 from labelgen.synth.light import Light, Weather, make_light
@@ -137,7 +138,9 @@ def write_session(
         "masks": folders["truth"] / "masks.json",
         "boxes": folders["truth"] / "boxes.jsonl",
     }
-    return SessionSummary(name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()})
+    return SessionSummary(
+        name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()}
+    )
 
 
 def _render(
@@ -169,7 +172,9 @@ def _render(
                 if writer is not None:
                     ids = {t.track_id for t in here}
                     renderer.forget({k for k in vehicles if k not in ids})
-                    vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
+                    vehicles = {
+                        t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here
+                    }
                     placed = [place(t, vehicles[t.track_id], time_s) for t in here]
                     image, drawn = renderer.frame(placed, number=number)
                     writer.write(image)
@@ -228,7 +233,9 @@ def ground_truth(
                 "valid": valid,
                 "acceleration": 0.0,
                 "timeIntersectionLastShifted": times[0],
-                "intersections": [{"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)],
+                "intersections": [
+                    {"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)
+                ],
             }
         )
     cars.sort(key=lambda car: car["timeIntersectionLastShifted"])  # type: ignore[arg-type, return-value]

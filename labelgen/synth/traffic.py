@@ -118,9 +118,7 @@ def random_traffic(
             if before is not None:
                 gap = rng.uniform(0.7, 1.6)
                 length = max(before[2], float(size[0]))
-                entry = max(
-                    entry, before[0] + gap + length / speed, before[1] + gap + length / speed - (high - low) / speed
-                )
+                entry = max(entry, before[0] + gap + length / speed, before[1] + gap + length / speed - (high - low) / speed)
             leave = entry + (high - low) / speed
             before = (entry, leave, size[0])
             clock = max(clock, entry)

@@ -190,9 +190,7 @@ class TruthWriter:
     def __enter__(self) -> TruthWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         self._boxes.close()
         categories = [{"id": number, "name": name} for number, name in _NAMES.items()]
         with (self._folder / "masks.json").open("w", encoding="utf-8") as out:

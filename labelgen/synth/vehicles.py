@@ -90,13 +90,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
     mesh = body_mesh(shape)
     extent = np.ptp(mesh.vertices, axis=0)
     size = _body_size(mesh)
-    cargo_tones: Any = [
-        (0.68, 0.68, 0.66),
-        (0.5, 0.5, 0.52),
-        (0.05, 0.10, 0.30),
-        (0.40, 0.05, 0.04),
-        (0.10, 0.20, 0.10),
-    ]
+    cargo_tones: Any = [(0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10)]
     cargo = cargo_tones[rng.choice(5, p=[0.5, 0.15, 0.15, 0.1, 0.1])]
     skin = draw_skin(shape, extent, colour, cargo, rng, lamps=lamps)
     paint = np.array([metal, rng.uniform(0.7, 1.0), 0.9, float(lamps), rng.uniform(0.1, 0.5)])
