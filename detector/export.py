@@ -37,6 +37,10 @@ class FixedSizeDetector(nn.Module):
         size_wh: of the pictures, px.
     """
 
+    anchors: Tensor
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, model: CcRetinaNet, size_wh: tuple[int, int]) -> None:
         super().__init__()
         self.model, self._size_hw = model.eval(), (size_wh[1], size_wh[0])

@@ -49,7 +49,7 @@ class DetectorModule(LightningModule):
         self, model: CcRetinaNet, preset: Preset, card: Card, total_steps: int, validation: ValidationSamples | None
     ) -> None:
         super().__init__()
-        self.model = model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.model = model.to(memory_format=torch.channels_last)
         self._preset, self._card, self._total_steps = preset, card, total_steps
         self._validation = validation
         self._found: dict[int, Found] = {}

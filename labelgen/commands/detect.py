@@ -127,7 +127,8 @@ def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[
         sample = samples[index]
         (found,) = detector([detector.tensor(sample.image)])
         line = {
-            "sample": index, "source": sample.source, "frame": sample.frame, "boxes": found.boxes_xyxy.round(3).tolist(),
+            "sample": index, "source": sample.source, "frame": sample.frame,
+            "boxes": found.boxes_xyxy.round(3).tolist(),
             "cc": found.cc.round(5).tolist(), "scores": found.scores.round(4).tolist(),
         }  # fmt: skip
         yield json.dumps(line) + "\n", len(found), lambda sample=sample, found=found: draw_found(sample, found)

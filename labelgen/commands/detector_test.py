@@ -16,13 +16,10 @@ if TYPE_CHECKING:
     from labelgen.labels import Sample
     from labelgen.shards import ShardSet
 
-__all__ = ["test_detector"]
-
-# pytest would take it for a test.
-__test__ = False
+__all__ = ["detector_test"]
 
 
-def test_detector(
+def detector_test(
     checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="Written by labelgen train.")],
     shards: Annotated[list[Path], typer.Argument(metavar="SHARDS...", help="Shards or folders of them.")],
     score: Annotated[
@@ -46,9 +43,8 @@ def test_detector(
     open_sources(shards, card.pair, card.size_wh)
     samples = ShardSet(shards)
     result = evaluate(_run(detector, samples, batch), score=score, min_height_px=card.min_height_px)
-    typer.echo(
-        f"{checkpoint.name} ({card.preset}, {card.pair}, {card.size_wh[0]}x{card.size_wh[1]}) on {len(samples)} pictures"
-    )
+    size = "{}x{}".format(*card.size_wh)
+    typer.echo(f"{checkpoint.name} ({card.preset}, {card.pair}, {size}) on {len(samples)} pictures")
     print_table(_rows(result))
     write_json_report(json_file, {"checkpoint": str(checkpoint), "preset": card.preset, **result})
 
@@ -67,12 +63,8 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, Any]]:
     rows: list[tuple[str, Any]] = []
     for name, value in result.items():
         if isinstance(value, dict):
-            text = (
-                "-"
-                if not value["n"]
-                else f"median {value['median']:.4g}, mean {value['mean']:.4g}, p95 {value['p95']:.4g}"
-            )
-            rows.append((name, f"{text} (n {value['n']})"))
+            figures = [f"{key} {value[key]:.4g}" for key in ("median", "mean", "p95") if value["n"]]
+            rows.append((name, f"{', '.join(figures) or '-'} (n {value['n']})"))
         else:
             rows.append((name, f"{value:.4f}" if isinstance(value, float) else "-" if value is None else value))
     return rows
