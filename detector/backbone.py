@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -57,7 +58,7 @@ def build_backbone(
     missing = [level for level in own if 2**level not in stages]
     if missing or list(levels) != list(range(levels[0], levels[-1] + 1)) or extra not in ([], [6, 7]) or not own:
         there = ", ".join(str(stride.bit_length() - 1) for stride in sorted(stages))
-        raise LabelgenError(f"backbone {name}: no pyramid of the levels {list(levels)}; its stages have levels {there}")
+        raise LabelgenError(f"backbone {name}: no pyramid of the levels {list(levels)}; it has {there or None}")
     chosen = [stages[2**level] for level in own]
     return BackboneWithFPN(
         trunk,
@@ -117,7 +118,8 @@ def _stages(net: nn.Module, trunk: nn.Module) -> dict[int, tuple[str, int]]:
     training = net.training
     net.eval()
     try:
-        with torch.no_grad():
+        # A network that takes pictures of one size only has no stages for us.
+        with torch.no_grad(), contextlib.suppress(RuntimeError, AssertionError):
             net(torch.zeros(1, 3, _PROBE_PX, _PROBE_PX))
     finally:
         net.train(training)

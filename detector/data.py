@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,12 +22,20 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from detector.augment import Ranges, Target, change_light, cut_to_image, draw_map
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
-from labelgen.labels import Sample
+from labelgen.labels import Labels
 from labelgen.shards import ShardSet
 
 __all__ = [
-    "Batch", "ShardSource", "StepSampler", "TrainingSamples", "ValidationSamples", "collate", "label_provenance",
-    "make_loader", "open_sources",
+    "Batch",
+    "ShardSource",
+    "StepSampler",
+    "TrainingSamples",
+    "ValidationSamples",
+    "collate",
+    "label_provenance",
+    "make_loader",
+    "open_sources",
+    "to_tensors",
 ]  # fmt: skip
 
 CROPS = "boxcars"
@@ -144,7 +153,8 @@ def _plain(settings: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _tensors(image: NDArray[np.uint8], target: Target) -> tuple[Tensor, dict[str, Tensor]]:
+def to_tensors(image: NDArray[np.uint8], target: Target) -> tuple[Tensor, dict[str, Tensor]]:
+    """Image (H, W, 3) BGR and labels as a model's input and target."""
     rgb = np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1))
     return torch.from_numpy(rgb), {
         "boxes": torch.from_numpy(target.boxes_xyxy.astype(np.float32)).reshape(-1, 4),
@@ -208,20 +218,29 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
     def __getitem__(self, number: int) -> tuple[Tensor, dict[str, Tensor], int]:
         s, index = self.which(number)
         source = self._sources[s]
+        # Not the whole sample: its rectification takes longer to set up than its picture to find.
+        reader, row = source.shards.locate(index)
+        image = _decode(reader.encoded(row), f"{reader.path}, sample {row}")
         rng = np.random.default_rng([self._seed, 3, number])
-        image, target = self.augment(source.shards[index], source.crops, rng)
-        return (*_tensors(image, target), number)
+        return (*to_tensors(*self.augment(image, reader.labels(row), source.crops, rng)), number)
 
-    def augment(self, sample: Sample, crops: bool, rng: np.random.Generator) -> tuple[NDArray[np.uint8], Target]:
-        """A sample as it goes into training: image (H, W, 3) BGR and labels."""
+    def augment(
+        self, image: NDArray[np.uint8], labels: Labels, crops: bool, rng: np.random.Generator
+    ) -> tuple[NDArray[np.uint8], Target]:
+        """A picture (H, W, 3) BGR and its labels as they go into training."""
         ranges = self._crops if crops else self._whole
-        image = sample.image
-        from_wh = (image.shape[1], image.shape[0])
-        move = draw_map(rng, ranges, from_wh, self._size_wh, fill=crops)
-        target = Target.of(sample.labels)
+        move = draw_map(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
+        target = Target.of(labels)
         moved = cut_to_image(Target(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
         out = move.image(image, self._size_wh)
         return change_light(rng, out, ranges.light) if ranges.light else out, moved
+
+
+def _decode(encoded: bytes, where: str) -> NDArray[np.uint8]:
+    image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR) if encoded else None
+    if image is None:
+        raise DataError(f"{where}: its image cannot be decoded; make the shard again")
+    return np.asarray(image, dtype=np.uint8)
 
 
 class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
@@ -239,7 +258,7 @@ class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
 
     def __getitem__(self, index: int) -> tuple[Tensor, dict[str, Tensor], int]:
         sample = self.shards[index]
-        return (*_tensors(sample.image, Target.of(sample.labels)), index)
+        return (*to_tensors(sample.image, Target.of(sample.labels)), index)
 
 
 def collate(items: Sequence[tuple[Tensor, dict[str, Tensor], int]]) -> Batch:
@@ -294,6 +313,4 @@ def make_loader(
 
 
 def _one_thread(_: int) -> None:
-    import cv2
-
     cv2.setNumThreads(0)
