@@ -106,14 +106,14 @@ def open_sources(
             raise DataError(f"{text}: it holds both crops and whole pictures; name their folders one by one")
         for reader in shards.readers:
             pair = pair or reader.pair
-            size_wh = size_wh or (None if crops[0] else reader.size_wh)
-            wrong_size = not crops[0] and reader.size_wh != size_wh
+            wrong_size = not crops[0] and size_wh is not None and reader.size_wh != size_wh
             if reader.pair is not pair or wrong_size:
                 wanted = "" if crops[0] or size_wh is None else " {}x{}".format(*size_wh)
                 raise DataError(
                     f"{reader.path}: its pictures are {reader.pair} {'{}x{}'.format(*reader.size_wh)}, but "
                     f"{pair}{wanted} is wanted; choose the preset made for them, or make shards of that pair and size"
                 )
+            size_wh = size_wh or (None if crops[0] else reader.size_wh)
         if len(shards):
             sources.append(ShardSource(shards, float(len(shards)) if weight is None else weight, crops[0]))
     if not sources or not sum(source.weight for source in sources) > 0:

@@ -49,11 +49,11 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     Returns:
         fps, ms per frame, and ms per frame by stage.
     """
+    import numpy as np
+
     from labelgen.synth import render, session
     from labelgen.synth.light import Weather, make_light
     from labelgen.synth.video import VideoWriter
-
-    import numpy as np
 
     rng = np.random.default_rng([seed, 1])
     scene = session.procedural_scene(rng, size_wh)
