@@ -9,11 +9,14 @@ from __future__ import annotations
 import json
 import logging
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection.image_list import ImageList
 from torchvision.ops import clip_boxes_to_image, nms
@@ -24,7 +27,7 @@ from detector.model import CcRetinaNet
 from labelgen.errors import LabelgenError
 from labelgen.files import write_atomic
 
-__all__ = ["FixedSizeDetector", "check_onnx", "export_onnx"]
+__all__ = ["FixedSizeDetector", "Parity", "check_onnx", "export_onnx"]
 
 _HINT = "exporting needs ONNX: pip install 'labelgen[export]'"
 
@@ -117,8 +120,30 @@ def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
     return card
 
 
-def check_onnx(checkpoint: Path, exported: Path, *, score: float = 0.3, seed: int = 0) -> float:
-    """Greatest difference, px and c_c, between the exported detector and the checkpoint's on a random picture.
+@dataclass(frozen=True)
+class Parity:
+    """How an exported detector compares with its checkpoint.
+
+    Args:
+        boxes: compared.
+        px, score, cc: greatest differences.
+    """
+
+    boxes: int
+    px: float
+    score: float
+    cc: float
+
+
+def check_onnx(
+    checkpoint: Path, exported: Path, images: Sequence[NDArray[np.float32]], *, score: float = 0.3
+) -> Parity:
+    """Compare the exported detector, on onnxruntime, with its checkpoint on PyTorch.
+
+    Args:
+        checkpoint, exported: the two files.
+        images: pictures (3, H, W) RGB in [0, 1].
+        score: least score, the same that it was exported with.
 
     Raises:
         LabelgenError: onnxruntime is not installed, or the two find different numbers of vehicles.
@@ -127,13 +152,16 @@ def check_onnx(checkpoint: Path, exported: Path, *, score: float = 0.3, seed: in
         import onnxruntime
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
-    model, card = load_detector(checkpoint, score_thresh=score)
-    image = torch.rand(3, card.size_wh[1], card.size_wh[0], generator=torch.Generator().manual_seed(seed))
-    with torch.inference_mode():
-        (wanted,) = model([image])
+    model, _ = load_detector(checkpoint, score_thresh=score)
     session = onnxruntime.InferenceSession(exported.read_bytes(), providers=["CPUExecutionProvider"])
-    boxes, scores, cc = session.run(None, {"image": image.numpy()})
-    if len(boxes) != len(wanted["boxes"]):
-        raise LabelgenError(f"{exported}: it finds {len(boxes)} boxes, the checkpoint {len(wanted['boxes'])}")
-    pairs = ((boxes, wanted["boxes"]), (scores, wanted["scores"]), (cc, wanted["cc"]))
-    return max((float(np.abs(a - b.numpy()).max()) for a, b in pairs if len(a)), default=0.0)
+    count, worst = 0, [0.0, 0.0, 0.0]
+    for image in images:
+        with torch.inference_mode():
+            (wanted,) = model([torch.from_numpy(image)])
+        found = session.run(None, {"image": image})
+        if len(found[0]) != len(wanted["boxes"]):
+            raise LabelgenError(f"{exported}: it finds {len(found[0])} boxes, the checkpoint {len(wanted['boxes'])}")
+        count += len(found[0])
+        for k, key in enumerate(("boxes", "scores", "cc")):
+            worst[k] = max(worst[k], float(np.abs(found[k] - wanted[key].numpy()).max(initial=0.0)))
+    return Parity(count, *worst)

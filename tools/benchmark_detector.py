@@ -108,7 +108,8 @@ def benchmark_stages(
             break
     seconds = time.perf_counter() - begin
     result = {
-        "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh), "size_wh": list(detector.card.size_wh),
+        "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
+        "size_wh": list(detector.card.size_wh),
         "device": str(detector.device), "threads": torch.get_num_threads(), "fps": count / seconds,
         "decode_ms": 1000 * decode, "rectify_ms": 1000 * rectify, "detect_ms": 1000 * network,
         "track_ms": 1000 * tracking / count,

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from labelgen.commands.common import JsonOption, OverwriteOption, print_table, write_json_report
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from detector.checkpoint import Card
+
 __all__ = ["export_model"]
+
+_CHECKED = 20
 
 
 def export_model(
@@ -17,7 +26,9 @@ def export_model(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")],
     format_: Annotated[str, typer.Option("--format", help="onnx.")] = "onnx",
     score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a detection.")] = 0.3,
-    check: Annotated[bool, typer.Option("--check/--no-check", help="Compare with PyTorch on a random picture.")] = True,
+    check: Annotated[
+        Path | None, typer.Option("--check", metavar="SHARDS", help="Compare with PyTorch on pictures of these shards.")
+    ] = None,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -30,12 +41,32 @@ def export_model(
     if out.exists() and not overwrite:
         raise OutputError(f"{out}: it exists already; use --overwrite or another --out")
     card = export_onnx(checkpoint, out, score=score)
-    difference = check_onnx(checkpoint, out, score=score) if check else None
-    rows = [("in", out), ("size", f"{card.size_wh[0]}x{card.size_wh[1]}"), ("bytes", out.stat().st_size)]
-    if difference is not None:
-        rows.append(("greatest difference from PyTorch", f"{difference:.2e}"))
+    rows: list[tuple[str, Any]] = [
+        ("in", out), ("size", "{}x{}".format(*card.size_wh)), ("bytes", out.stat().st_size)
+    ]  # fmt: skip
+    parity = None
+    if check is not None:
+        parity = check_onnx(checkpoint, out, _pictures(check, card), score=score)
+        rows += [("boxes compared", parity.boxes), ("greatest difference, px", f"{parity.px:.2e}")]
+        rows += [("of scores", f"{parity.score:.2e}"), ("of c_c", f"{parity.cc:.2e}")]
     typer.echo(f"Exported {checkpoint.name} ({card.preset}, {card.pair})")
     print_table(rows)
     write_json_report(
-        json_file, {"out": str(out), "pair": str(card.pair), "size": list(card.size_wh), "difference": difference}
-    )
+        json_file,
+        {
+            "out": str(out), "pair": str(card.pair), "size": list(card.size_wh),
+            "parity": None if parity is None else asdict(parity),
+        },
+    )  # fmt: skip
+
+
+def _pictures(shards: Path, card: Card) -> list[NDArray[np.float32]]:
+    import numpy as np
+
+    from detector.data import open_sources
+    from labelgen.shards import ShardSet
+
+    open_sources([shards], card.pair, card.size_wh)
+    samples = ShardSet([shards])
+    chosen = np.unique(np.linspace(0, len(samples) - 1, _CHECKED).astype(int)).tolist()
+    return [samples[i].image[:, :, ::-1].transpose(2, 0, 1).astype(np.float32) / np.float32(255) for i in chosen]

@@ -67,11 +67,10 @@ def test_batches_do_not_depend_on_the_number_of_workers(folders: dict[str, Path]
 
 
 def test_a_later_step_is_the_same_without_the_earlier_ones(folders: dict[str, Path]) -> None:
-    all_of_it = []
-    done = 0
+    all_of_it: list[tuple[bytes, bytes]] = []
+    loader = make_loader(samples([folders["a"]]), batches=StepSampler(2, 4, lambda: len(all_of_it)))
     for _ in range(3):
-        all_of_it += steps(make_loader(samples([folders["a"]]), batches=StepSampler(2, 4, lambda: done)), 99)
-        done = len(all_of_it)
+        all_of_it += steps(loader, 99)
     resumed = steps(make_loader(samples([folders["a"]]), batches=StepSampler(2, 4, lambda: 6)), 99)
     assert len(all_of_it) == 12
     assert resumed == all_of_it[6:8]

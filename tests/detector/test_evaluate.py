@@ -71,9 +71,7 @@ def test_errors_of_cc_and_ground_point() -> None:
     assert result["cc_error"]["median"] == pytest.approx(0.05)
     vpu = sample.rectification.vpu
     feet = [
-        sample.rectification.points_back(
-            front_bottom_midpoints(decode_boxes(sample.labels.boxes_xyxy, cc, vpu)[0])
-        )
+        sample.rectification.points_back(front_bottom_midpoints(decode_boxes(sample.labels.boxes_xyxy, cc, vpu)[0]))
         for cc in (sample.labels.cc, sample.labels.cc + 0.05)
     ]
     assert result["ground_px"]["median"] == pytest.approx(np.median(np.linalg.norm(feet[0] - feet[1], axis=1)))
@@ -85,7 +83,9 @@ def test_low_detections_are_left_out_where_low_labels_were_never_made() -> None:
     sample = SAMPLES[0]
     labels = sample.labels
     low = np.array([[0.0, 0, 20, 8]])
-    found = Found(np.concatenate([low, labels.boxes_xyxy]), np.concatenate([[0.5], labels.cc]), np.ones(len(labels) + 1))
+    found = Found(
+        np.concatenate([low, labels.boxes_xyxy]), np.concatenate([[0.5], labels.cc]), np.ones(len(labels) + 1)
+    )
     assert evaluate([(sample, found)])["precision"] < 1
     assert evaluate([(sample, found)], min_height_px=10)["precision"] == 1
 
