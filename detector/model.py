@@ -79,14 +79,19 @@ class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
 
     def forward(self, x: list[Tensor]) -> Any:
         """Per level features -> boxes (N, A, 4) and c_c (N, A), in torchvision's order of anchors."""
+        # One convolution for both: c_c's few channels alone would cost as much as a block of sixteen.
+        weight = torch.cat([self.bbox_reg.weight, self.cc.weight])
+        bias = torch.cat([self.bbox_reg.bias, self.cc.bias])
         boxes: list[Tensor] = []
         shares: list[Tensor] = []
         for features in x:
-            tower = self.conv(features)
-            for out, head, width in ((boxes, self.bbox_reg, 4), (shares, self.cc, 1)):
-                raw = head(tower)
-                n, _, h, w = raw.shape
-                out.append(raw.view(n, -1, width, h, w).permute(0, 3, 4, 1, 2).reshape(n, -1, width))
+            raw = F.conv2d(self.conv(features), weight, bias, padding=1)
+            n, _, h, w = raw.shape
+            for out, part, width in (
+                (boxes, raw[:, : -self.cc.out_channels], 4),
+                (shares, raw[:, -self.cc.out_channels :], 1),
+            ):
+                out.append(part.reshape(n, -1, width, h, w).permute(0, 3, 4, 1, 2).reshape(n, -1, width))
         return torch.cat(boxes, dim=1), torch.cat(shares, dim=1).squeeze(-1)
 
 
