@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+from torchvision.models._utils import IntermediateLayerGetter
+from torchvision.models.resnet import BasicBlock, Bottleneck
 
 from detector.checkpoint import Card, load_detector
 from detector.detections import Detections
@@ -29,6 +31,8 @@ from labelgen.geometry import Camera, Rectification, RoadMask
 from labelgen.sources.frames import Frame
 
 __all__ = ["Detector", "DeviceRectifier", "ModelDetections", "choose_device", "fold_batch_norm"]
+
+_RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
 
 
 def choose_device(name: str | None) -> torch.device:
@@ -46,10 +50,13 @@ def choose_device(name: str | None) -> torch.device:
 
 
 def fold_batch_norm(model: nn.Module) -> None:
-    """Fold every batch normalisation that directly follows a convolution into it, in place; for inference only."""
+    """Fold batch normalisations that follow a convolution into it, in place; for inference only.
+
+    Only where the order of a module's parts is known to be the order in which they run.
+    """
     for parent in model.modules():
         children = list(parent.named_children())
-        if not isinstance(parent, nn.Sequential):
+        if not isinstance(parent, _RUN_IN_ORDER):
             continue
         for (name, conv), (after, norm) in pairwise(children):
             if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
