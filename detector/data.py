@@ -274,21 +274,26 @@ class StepSampler(Sampler[list[int]]):
         batch: samples per step and process.
         steps: per epoch.
         step_now: tells the number of steps done so far, in all epochs together.
-        rank, world: this process, and how many there are.
+        place: tells the number of this process and how many there are; asked late, when launchers have settled it.
     """
 
-    def __init__(self, batch: int, steps: int, step_now: Callable[[], int], rank: int = 0, world: int = 1) -> None:
-        self._batch, self._steps, self._step_now = batch, steps, step_now
-        self._rank, self._world = rank, world
+    def __init__(
+        self,
+        batch: int,
+        steps: int,
+        step_now: Callable[[], int],
+        place: Callable[[], tuple[int, int]] = lambda: (0, 1),
+    ) -> None:
+        self._batch, self._steps, self._step_now, self._place = batch, steps, step_now, place
 
     def __len__(self) -> int:
         return self._steps
 
     def __iter__(self) -> Iterator[list[int]]:
-        first = self._step_now()
+        first, (rank, world) = self._step_now(), self._place()
         # After a resumption in the middle of an epoch only the rest of it is left.
         for step in range(first, (first // self._steps + 1) * self._steps):
-            start = (step * self._world + self._rank) * self._batch
+            start = (step * world + rank) * self._batch
             yield list(range(start, start + self._batch))
 
 

@@ -218,7 +218,7 @@ def _fit(
         default_root_dir=out,
     )  # fmt: skip
     batches = StepSampler(
-        preset.batch, steps, lambda: trainer.global_step, rank=trainer.global_rank, world=trainer.world_size
+        preset.batch, steps, lambda: trainer.global_step, lambda: (trainer.global_rank, trainer.world_size)
     )
     loaders = [make_loader(samples, batches=batches, workers=machine.workers)]
     if judged is not None:

@@ -84,7 +84,7 @@ def test_seeds_differ(folders: dict[str, Path]) -> None:
 
 
 def test_processes_of_one_training_share_out_each_step() -> None:
-    batches = [list(StepSampler(2, 3, lambda: 0, rank, 2)) for rank in (0, 1)]
+    batches = [list(StepSampler(2, 3, lambda: 0, lambda rank=rank: (rank, 2))) for rank in (0, 1)]
     taken = [number for step in zip(*batches, strict=True) for batch in step for number in batch]
     assert taken == list(range(12))
 
