@@ -80,6 +80,7 @@ class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
     def forward(self, x: list[Tensor]) -> Any:
         """Per level features -> boxes (N, A, 4) and c_c (N, A), in torchvision's order of anchors."""
         # One convolution for both: c_c's few channels alone would cost as much as a block of sixteen.
+        assert self.cc.bias is not None
         weight = torch.cat([self.bbox_reg.weight, self.cc.weight])
         bias = torch.cat([self.bbox_reg.bias, self.cc.bias])
         boxes: list[Tensor] = []

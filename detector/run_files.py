@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from lightning.pytorch import Callback, LightningModule
 from lightning.pytorch import Trainer as LightningTrainer
-from lightning.pytorch.callbacks import EarlyStopping, LearningRateMonitor, ModelCheckpoint
+from lightning.pytorch.callbacks import EarlyStopping, LearningRateMonitor, ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger
 
 from detector.lightning_module import VALIDATION_SCORE, DetectorModule
@@ -36,6 +36,8 @@ def callbacks(out: Path, preset: Preset, judged: bool, machine: Trainer) -> list
         LearningRateMonitor("step"),
         _last(out, save_on_train_epoch_end=True, every_n_epochs=1),
     ]
+    if machine.progress:
+        found.append(TQDMProgressBar())
     if machine.checkpoint_every:
         found.append(_last(out, every_n_train_steps=machine.checkpoint_every))
     if judged:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -80,10 +81,12 @@ def train(
     rows = [("steps", summary.steps), ("epochs", summary.epochs)]
     rows += [(name, f"{value:.4f}") for name, value in sorted(summary.metrics.items())]  # type: ignore[misc]
     print_table([*rows, ("checkpoint", summary.checkpoint), ("best", summary.best or "-")])
+    # NaN, where there was nothing to measure, is no JSON.
+    metrics = {name: value if math.isfinite(value) else None for name, value in summary.metrics.items()}
     write_json_report(
         json_file,
         {
-            "preset": preset, "steps": summary.steps, "epochs": summary.epochs, "metrics": summary.metrics,
+            "preset": preset, "steps": summary.steps, "epochs": summary.epochs, "metrics": metrics,
             "checkpoint": str(summary.checkpoint), "best": None if summary.best is None else str(summary.best),
             "interrupted": summary.interrupted,
         },
