@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -212,6 +213,26 @@ def test_a_checkpoint_with_code_inside_is_refused(tmp_path: Path) -> None:
     torch.save({"state_dict": {}}, path)
     with pytest.raises(DataError, match="not a checkpoint of a labelgen detector"):
         load_detector(path)
+
+
+@pytest.mark.parametrize("judged", [False, True])
+def test_published_schedule_runs_with_and_without_validation(shards: Path, tmp_path: Path, judged: bool) -> None:
+    from detector.model import ModelConfig
+    from detector.presets import find_preset
+    from detector.train import Trainer, train
+
+    model = ModelConfig(backbone="resnet18", levels=(3, 4, 5, 6, 7), channels=32, head_convs=1)
+    preset = replace(
+        find_preset("paper-640x360", epochs=2, steps_per_epoch=1, batch=1, weights="none", patience=1),
+        pair=None, size_wh=None, model=model,
+    )  # fmt: skip
+    summary = train(
+        [shards], preset, tmp_path / "run", validation=[shards] if judged else [],
+        machine=Trainer(accelerator="cpu", checkpoint_every=0, progress=False),
+    )  # fmt: skip
+    assert summary.steps == 2
+    assert (summary.best is not None) == judged
+    assert load_detector(summary.checkpoint)[1].training["schedule"] == "plateau"
 
 
 @pytest.mark.slow
