@@ -2,7 +2,7 @@
 
 RUN_DIR/last.ckpt        to go on from, and the newest weights
 RUN_DIR/best.ckpt        best AP50 on the validation shards, where there are any
-RUN_DIR/metrics.csv      losses and validation, in version_N/ folders after resumptions
+RUN_DIR/csv/             losses and validation: version_0/metrics.csv, version_1/ after a resumption, ...
 RUN_DIR/pictures/        validation pictures with detections, one sheet per epoch
 RUN_DIR/tensorboard/     the same figures for TensorBoard
 """
