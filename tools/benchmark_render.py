@@ -70,7 +70,7 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     stages = _Stages()
     for name in ("visible_triangles", "shade", "_visible_parts", "painting_order"):
         setattr(render, name, stages.timed(name.strip("_"), getattr(render, name)))
-    for name in ("_cast_shadow", "_draw", "_soften", "_add_noise", "frame"):
+    for name in ("_cast_shadow", "_draw", "_paint", "_soften", "_add_noise", "frame"):
         setattr(renderer, name, stages.timed(name.strip("_"), getattr(renderer, name)))
     pixels = 0
     with VideoWriter(folder / "benchmark.avi", 25, size_wh) as writer:
@@ -98,7 +98,8 @@ def _busy_moments(renderer: Any, session: Any, trips: Any, scene: Any, vehicles:
     batches = []
     time_s = 5.0
     while len(batches) < frames and time_s < 600:
-        time_s += 0.4
+        # Runs of consecutive frames, as in a video, at busy moments.
+        time_s += 0.04 if batches and len(batches) % 20 else 2.0
         here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
         for trip in here:
             if trip.track_id not in bodies:

@@ -13,7 +13,7 @@ from labelgen.synth.shapes import Shape
 
 __all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line"]
 
-MIRROR = 0.11
+MIRROR = 0.07
 """How far a wing mirror stands out from the body, metres."""
 _FINE = 0.01
 
@@ -108,7 +108,7 @@ def _shell(shape: Shape) -> Mesh:
 def _mirrors(shape: Shape) -> list[Mesh]:
     d = shape.cowl[0] + 0.42 * (shape.roof_front[0] - shape.cowl[0]) + 0.08
     x, out = shape.length / 2 - d, shape.width / 2
-    tall = 0.12 if shape.cargo is None and shape.kind != "bus" else 0.42
+    tall = 0.10 if shape.cargo is None and shape.kind != "bus" else 0.35
     z = shape.belt + 0.02
     lows = [(x - 0.04, -out - MIRROR, z), (x - 0.04, out - 0.06, z)]
     return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.06, z + tall), chart=Chart.MIRROR) for low in lows]

@@ -211,25 +211,35 @@ class Renderer:
             return None
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
-        ss = 3 if max(size) < 120 else 2 if max(size) < 700 else 1
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
-        ids = visible_triangles(screen, mesh.triangles, size, origin, ss, True)
-        if image is None:
-            count = (ids.reshape(size[1], ss, size[0], ss) >= 0).sum(axis=(1, 3))
-        else:
-            pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
-            skin, maps = placed.vehicle.skin.level(float(np.median(depth)) / camera.focal)
-            layer, count = shade(
-                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin,
-                placed.vehicle.paint, self._packed, pose, self.light.exposure, CURVE, origin, ss,
-            )  # fmt: skip
-            layer = self._soften(layer, placed)
-            part = image[y0:y1, x0:x1]
-            kept = cv2.merge([1 - layer[..., 3]] * 3)
-            part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
-        mask = count * 2 >= ss * ss
+        # A pixel belongs to the mask if the vehicle covers its centre.
+        centres = visible_triangles(screen, mesh.triangles, size, origin, 1, True)
+        if image is not None:
+            self._paint(image, placed, screen, centres, window)
+        mask = centres >= 0
         outline = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
         return _Layer(placed.track_id, mask, (x0, y0), outline)
+
+    def _paint(
+        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64], centres: NDArray[np.int32],
+        window: tuple[int, int, int, int],
+    ) -> None:  # fmt: skip
+        """Shade a vehicle and lay it over its window of the frame."""
+        x0, y0, x1, y1 = window
+        size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
+        mesh, camera = placed.vehicle.mesh, self.camera
+        ss = 3 if max(size) < 120 else 2 if max(size) < 700 else 1
+        ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
+        pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
+        skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
+        layer = shade(
+            ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
+            self._packed, pose, self.light.exposure, CURVE, origin, ss,
+        )  # fmt: skip
+        layer = self._soften(layer, placed)
+        part = image[y0:y1, x0:x1]
+        kept = cv2.merge([1 - layer[..., 3]] * 3)
+        part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
 
     def _soften(self, layer: NDArray[np.float32], placed: Placed) -> NDArray[np.float32]:
         """Lens blur, and motion blur along the vehicle's path in the image."""
