@@ -1,6 +1,6 @@
 """The pictures of the README, from the folder that `make demo` leaves.
 
-    python -m tools.readme_pictures demo [--out docs/pictures]
+python -m tools.readme_pictures demo [--out docs/pictures]
 """
 
 from __future__ import annotations

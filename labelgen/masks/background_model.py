@@ -79,7 +79,7 @@ class BackgroundModel:
             mode, spread = _mode(stack[:, row : row + 32])
             background[row : row + 32], noise[row : row + 32] = mode, spread
         self.background = background
-        self._noise = cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5))
+        self._noise = np.asarray(cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5)), dtype=np.float32)
         self._edges = _edges(background)
         self.shadow = self._shadow_level(stack[:: max(1, len(stack) // 24)])
 
@@ -137,16 +137,14 @@ class BackgroundModel:
         assert self.background is not None
         now, then = image[::4, ::4].reshape(-1, 3).astype(np.float32), self.background[::4, ::4].reshape(-1, 3)
         gains = np.clip(np.median((now + 8) / (then + 8), axis=0), 0.7, 1.4).astype(np.float32)
-        return cv2.blur(self.background * gains, (3, 3))
+        return np.asarray(cv2.blur(self.background * gains, (3, 3)), dtype=np.float32)
 
     def threshold(self, expected: Plane) -> Plane:
         """(H, W) difference, in grey levels, that neither flicker nor sway explains."""
         assert self._noise is not None
-        grey = lightness(expected)
-        slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * cv2.dilate(
-            slope, np.ones((3, 3))
-        )
+        steep = cv2.dilate(_slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
+        limit = np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * steep
+        return np.asarray(limit, dtype=np.float32)
 
     def changed(self, image: Image) -> BoolMask:
         """(H, W) which pixels of an aligned image differ from the background."""
@@ -163,8 +161,8 @@ class BackgroundModel:
     def _absorb(self, image: Image) -> None:
         assert self._still is not None
         assert self.background is not None
-        still = (self._still >= _STILL_GHOST).view(np.uint8)
-        still = cv2.morphologyEx(still, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        longer = (self._still >= _STILL_GHOST).view(np.uint8)
+        still = cv2.morphologyEx(longer, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(still)
         for i in range(1, count):
             x, y, w, h, _ = stats[i].tolist()
@@ -186,9 +184,8 @@ class BackgroundModel:
             light = lightness(smooth)
             ratio = (light + 4) / (lightness(expected) + 4)
             inside = cv2.erode(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-            slope = np.abs(cv2.Sobel(light, cv2.CV_32F, 1, 0)) + np.abs(cv2.Sobel(light, cv2.CV_32F, 0, 1))
             colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
-            flat = inside & (slope < 25) & (colour < 10)
+            flat = inside & (_slope(light) < 22) & (colour < 10)
             counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
         if counts.sum() < 200:
             return _TYPICAL_SHADOW
@@ -220,15 +217,19 @@ def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
         return False
     strengths = []
     for picture in (image, background):
-        grey = lightness(np.asarray(picture, dtype=np.float32))
-        strengths.append(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))[rim].mean())
+        strengths.append(_slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
     return bool(strengths[1] > 1.5 * strengths[0])
 
 
 def _edges(picture: Plane) -> Plane:
     """Edge strength at half size, strong edges cut off so that vehicles do not lead the alignment."""
-    grey = lightness(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    return np.minimum(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), 80)
+    half = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.minimum(_slope(lightness(half)), 80)
+
+
+def _slope(grey: Plane) -> Plane:
+    """Length of the gradient, 8 times grey levels per px."""
+    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
 
 
 def _mode(stack: Image) -> tuple[Plane, Plane]:

@@ -24,6 +24,8 @@ Mask = NDArray[np.uint8]
 BoolMask = NDArray[np.bool_]
 
 _MIN_AREA_SHARE = 0.0006
+# With more than this changed it is the camera or the light, not traffic.
+_UPHEAVAL = 0.7
 # Blurred borders are cut where the difference falls below this share of what it is 2 px further inside.
 _BORDER_SHARE = 0.35
 _RIM = 2
@@ -77,7 +79,8 @@ def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask, Mas
     smooth = cv2.blur(image, (3, 3)).astype(np.float32)
     difference = strongest(cv2.absdiff(smooth, expected))
     changed = difference > np.maximum(threshold, _BORDER_SHARE * cv2.dilate(difference, _disc(5)))
-    changed_u8 = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    opened = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    changed_u8 = np.asarray(opened, dtype=np.uint8)
 
     light, light_before = lightness(smooth), lightness(expected)
     ratio = (light + 4) / (light_before + 4)
@@ -91,7 +94,7 @@ def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask, Mas
     inside[blurred] = 0
     # Texture that the ground has too shows through a shadow.
     new = _range(light, inside) - _range(light_before, np.ones_like(inside)) * np.minimum(ratio, 1)
-    textured = new > np.maximum(_TEXTURE_LEVELS, (1 - _LEVEL_SHARE) * peak)
+    textured = np.asarray(new > np.maximum(_TEXTURE_LEVELS, (1 - _LEVEL_SHARE) * peak), dtype=np.bool_)
     return changed_u8, changed_u8 & (brighter | black | colour | textured), changed_u8 & (ratio < _DARK)
 
 
@@ -108,7 +111,9 @@ def find_silhouettes(image: Image, model: BackgroundModel) -> list[Silhouette]:
     assert model.background is not None
     changed, evidence, dark = evidence_maps(image, model)
     min_area = _MIN_AREA_SHARE * changed.size
-    found = []
+    found: list[Silhouette] = []
+    if changed.mean() > _UPHEAVAL:
+        return found
     joined = _morph(changed, cv2.MORPH_CLOSE, 5)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
     for i in range(1, count):
@@ -188,7 +193,8 @@ def _roof(part: Mask, dark: Mask) -> Mask:
     roof[above] = dark[above]
     roof = _morph(roof, cv2.MORPH_OPEN, 3) | part
     _, labels = cv2.connectedComponents(roof)
-    return (labels == np.bincount(labels[part > 0]).argmax()).view(np.uint8)
+    joined: BoolMask = labels == np.bincount(labels[part > 0]).argmax()
+    return joined.view(np.uint8)
 
 
 def _hull(part: Mask) -> Mask:
@@ -200,7 +206,7 @@ def _hull(part: Mask) -> Mask:
 
 def _smooth(part: Mask) -> Mask | None:
     """The part without spurs and dents, or None if it is no solid shape."""
-    part = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(3, 0.12 * np.sqrt(part.sum()))))
+    part = _morph(part, cv2.MORPH_OPEN, max(3, 0.12 * np.sqrt(part.sum())))
     contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return None
@@ -215,9 +221,9 @@ def _smooth(part: Mask) -> Mask | None:
 
 def _pieces(part: Mask, min_area: float, gain: float) -> list[Mask]:
     """A shape, cut where that leaves clearly more convex pieces: vehicles are convex, two of them together are not."""
-    opened = cv2.morphologyEx(part, cv2.MORPH_OPEN, _disc(max(3, 0.06 * np.sqrt(part.sum()))))
+    opened = _morph(part, cv2.MORPH_OPEN, max(3, 0.06 * np.sqrt(part.sum())))
     contours, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    todo = [c for c in contours if cv2.contourArea(c) >= 0.5 * min_area]
+    todo = [np.asarray(c, dtype=np.int32) for c in contours if cv2.contourArea(c) >= 0.5 * min_area]
     done = []
     while todo:
         contour = todo.pop()

@@ -82,7 +82,7 @@ class BoxCars:
         self._atlas_path = root / layout["atlas"]
         if self.from_atlas and not self._atlas_path.is_file():
             raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
-        self._atlas = load_pickle(self._atlas_path) if self.from_atlas else None
+        self._atlas: Any = load_pickle(self._atlas_path) if self.from_atlas else []
         data = _load_annotations(self.annotations)
         self._samples: list[Any] = data["samples"]
         self.cameras, self.bad_cameras = _cameras(data["cameras"])

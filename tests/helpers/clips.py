@@ -26,8 +26,8 @@ def road_mask() -> np.ndarray:
 
 
 def vehicle_boxes(frame: int) -> np.ndarray:
-    """(2, 8, 2) px, two cars that drive towards the camera."""
-    x = 38.0 - 0.2 * frame
+    """(2, 8, 2) px, two cars that drive towards the camera, again and again."""
+    x = 22.0 + (16.0 - 0.4 * frame) % 18.0
     near = np.array([[x, -9.0], [x + 5.0, -15.0]])
     return CAMERA.project(road_cuboids(near, np.array([[4.4, 1.8, 1.5], [5.2, 2.0, 2.1]])))
 

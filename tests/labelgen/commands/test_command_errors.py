@@ -224,7 +224,8 @@ def test_full_output(tmp_path: Path, tree: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", "from labelgen.cli import main; main()", "boxcars", "--root", str(tree), "--out", "out",
          "--cameras", "all", "--workers", "1"],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, preexec_fn=limit, capture_output=True, text=True,
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, preexec_fn=limit, capture_output=True,
+        text=True,
     )  # fmt: skip
     _refused(done, "cannot write", "shard-00000.h5", "too large")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["job.json"]

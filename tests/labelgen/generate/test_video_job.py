@@ -54,9 +54,8 @@ def test_labels_are_those_of_the_exact_boxes(labelgen, clip: Path, tmp_path: Pat
         found = np.argsort(sample.labels.boxes_xyxy[:, 0])
         uncut = ~sample.labels.has(Flag.TRUNCATED)[found]
         assert uncut.any()
-        np.testing.assert_allclose(
-            sample.labels.boxes_xyxy[found][uncut], exact.boxes_xyxy[order][uncut], atol=2.5 if pair is Pair.VP2_VP3 else 5
-        )
+        near = 2.5 if pair is Pair.VP2_VP3 else 5  # px: VP1-VP2 magnifies the far end of the road
+        np.testing.assert_allclose(sample.labels.boxes_xyxy[found][uncut], exact.boxes_xyxy[order][uncut], atol=near)
         np.testing.assert_allclose(sample.labels.cc[found][uncut], exact.cc[order][uncut], atol=0.03)
         np.testing.assert_allclose(sample.rectification.matrix, rectification.matrix, atol=1e-12)
         assert sample.frame % 10 == 0
@@ -67,9 +66,10 @@ def test_labels_are_those_of_the_exact_boxes(labelgen, clip: Path, tmp_path: Pat
         np.testing.assert_array_equal(sample.window_xyxy, [0, 0, *SIZE])
 
 
-def test_background_masks_find_the_cars(labelgen, clip: Path, tmp_path: Path) -> None:
-    report = _run(labelgen, tmp_path / "out", clip, "--masks", "background", "--every", 5)
-    assert report["labels"] >= 16  # of 24
+def test_background_masks_find_the_cars(labelgen, tmp_path: Path) -> None:
+    longer = write_clip(tmp_path, 200, coco=False)
+    report = _run(labelgen, tmp_path / "out", longer, "--masks", "background", "--every", 10)
+    assert report["labels"] >= 30  # of 40
     settings = ShardSet([tmp_path / "out"]).readers[0].settings
     assert settings["masks"] == "background"
 
@@ -220,3 +220,18 @@ def test_the_video_that_kills_opencv_is_read(labelgen, real_data: Path, tmp_path
     assert done.returncode in (0, 2), (done.returncode, done.stderr)
     assert "Traceback" not in done.stderr
     assert os.listdir(tmp_path)
+
+
+def test_a_part_without_a_readable_frame_is_an_empty_shard(labelgen, clip: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    capture = cv2.VideoCapture(str(clip))
+    for n in range(12):
+        cv2.imwrite(str(folder / f"{n:04d}.png"), capture.read()[1])
+    for n in range(4, 8):
+        (folder / f"{n:04d}.png").write_bytes(b"damaged")
+    options = (folder, "--calibration", clip.with_suffix(".calibration.json"), "--road-mask", clip.with_suffix(".mask.png"),
+               "--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 1, "--per-shard", 4)  # fmt: skip
+    report = _run(labelgen, tmp_path / "out", *options)
+    assert [len(ShardReader(path)) for path in sorted((tmp_path / "out").glob("*.h5"))] == [4, 0, 4]
+    assert report["rejects_by_reason"]["damaged input"] == 4

@@ -71,14 +71,20 @@ def primed(**options: object) -> MaskSource:
     return source
 
 
+@pytest.fixture(scope="module")
+def seen_road() -> MaskSource:
+    """A source that has learnt the road; for tests that only ask it for masks, which changes nothing."""
+    return primed()
+
+
 def look(source: MaskSource, image: np.ndarray) -> InstanceMasks:
     return source.masks([image], [0], [""])[0]
 
 
 @pytest.mark.parametrize("colour", [(30, 30, 190), (230, 230, 230), (35, 35, 35), (150, 90, 40)])
 @pytest.mark.parametrize("box", [(300, 100, 340, 132), (240, 180, 330, 260), (120, 20, 145, 40)])
-def test_finds_a_vehicle_and_its_outline(colour: tuple[int, int, int], box: Box) -> None:
-    found = look(primed(), noisy(drive(road(), box, colour), 900))
+def test_finds_a_vehicle_and_its_outline(seen_road: MaskSource, colour: tuple[int, int, int], box: Box) -> None:
+    found = look(seen_road, noisy(drive(road(), box, colour), 900))
     # A pixel more or less all around is 0.84 of the smallest box.
     assert max(iou(found, box), default=0) > (0.8 if box[2] - box[0] > 30 else 0.7)
     assert len(found) == 1
@@ -86,31 +92,37 @@ def test_finds_a_vehicle_and_its_outline(colour: tuple[int, int, int], box: Box)
     assert 0.5 <= found.scores[0] <= 1
 
 
-def test_empty_road_gives_nothing() -> None:
-    source = primed()
+def test_empty_road_gives_nothing(seen_road: MaskSource) -> None:
     for seed in range(5):
-        assert len(look(source, noisy(road(), 500 + seed))) == 0
+        assert len(look(seen_road, noisy(road(), 500 + seed))) == 0
 
 
-def test_cast_shadow_is_left_out() -> None:
+def test_another_scene_is_no_traffic(seen_road: MaskSource) -> None:
+    rng = np.random.default_rng(3)
+    patches = cv2.resize(rng.integers(0, 256, (9, 16, 3), dtype=np.uint8), WH, interpolation=cv2.INTER_NEAREST)
+    for scene in (rng.integers(0, 256, (WH[1], WH[0], 3), dtype=np.uint8), np.asarray(patches)):
+        assert len(look(seen_road, scene)) == 0
+
+
+def test_cast_shadow_is_left_out(seen_road: MaskSource) -> None:
     box = (300, 150, 380, 220)
-    found = look(primed(), noisy(drive(road(), box, (40, 160, 220), shadow=True), 1))
+    found = look(seen_road, noisy(drive(road(), box, (40, 160, 220), shadow=True), 1))
     assert len(found) == 1
     assert iou(found, box)[0] > 0.8
     assert found.boxes_xyxy[0, 2] < box[2] + 12
 
 
-def test_two_vehicles_side_by_side_stay_two() -> None:
+def test_two_vehicles_side_by_side_stay_two(seen_road: MaskSource) -> None:
     one, two = (250, 150, 310, 200), (318, 150, 378, 200)
-    found = look(primed(), noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 2))
+    found = look(seen_road, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 2))
     assert len(found) == 2
     assert max(iou(found, one)) > 0.75
     assert max(iou(found, two)) > 0.75
 
 
-def test_two_that_touch_at_a_corner_are_cut() -> None:
+def test_two_that_touch_at_a_corner_are_cut(seen_road: MaskSource) -> None:
     one, two = (250, 100, 310, 150), (305, 146, 365, 200)
-    found = look(primed(), noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 3))
+    found = look(seen_road, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 3))
     assert len(found) == 2
     assert max(iou(found, one)) > 0.7
     assert max(iou(found, two)) > 0.7
@@ -211,27 +223,49 @@ def test_unprimed_source_gives_nothing_then_learns() -> None:
     assert max(iou(look(source, noisy(drive(road(), box, (30, 30, 190)), 9)), box), default=0) > 0.8
 
 
+# Vehicles as a person draws their boxes by eye, to a pixel or two: frame number -> x0, y0, x1, y1.
+CITY: dict[int, list[Box]] = {
+    161: [(179, 220, 270, 325), (390, 134, 447, 183)],
+    469: [(207, 120, 258, 167), (322, 168, 397, 255), (277, 76, 312, 107)],
+    520: [(180, 125, 226, 172), (316, 148, 370, 203), (438, 215, 534, 303)],
+    623: [(410, 196, 507, 283), (302, 62, 329, 88)],
+    675: [(154, 215, 235, 314), (248, 111, 289, 156), (440, 121, 549, 250), (352, 95, 397, 129)],
+    983: [(257, 75, 287, 106), (233, 113, 275, 161)],
+}
+FREEWAY: dict[int, list[Box]] = {
+    92: [(188, 70, 213, 92), (156, 7, 172, 20)],
+    113: [(49, 66, 80, 91), (100, 121, 143, 162), (8, 157, 55, 196), (206, 16, 222, 29)],
+    156: [(191, 55, 212, 72), (0, 184, 44, 225)],
+    263: [(70, 166, 126, 222), (161, 37, 184, 57), (202, 20, 220, 36)],
+    285: [(28, 142, 73, 176), (158, 40, 184, 63)],
+    370: [(8, 87, 53, 121), (26, 142, 67, 175), (162, 139, 197, 172)],
+    392: [(163, 117, 197, 153)],
+}
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not REAL, reason="LABELGEN_REAL_DATA is not set")
-@pytest.mark.parametrize(
-    ("name", "boxes"),
-    [
-        # Vehicles as a person draws them, frame px: x0, y0, x1, y1.
-        ("city_road_640x360.mp4", {}),
-        ("freeway_320x240.avi", {}),
-    ],
-)
-def test_real_vehicles(name: str, boxes: dict[int, list[Box]]) -> None:
+@pytest.mark.parametrize(("name", "drawn"), [("city_road_640x360.mp4", CITY), ("freeway_320x240.avi", FREEWAY)])
+def test_real_vehicles(name: str, drawn: dict[int, list[Box]]) -> None:
     assert REAL is not None
     path = Path(REAL) / "videos" / name
     mask = cv2.imread(str(path.with_name(path.stem + ".mask.png")), cv2.IMREAD_GRAYSCALE)
     source = create_mask_source("background", road_mask=mask)
     video = open_frames(path)
     source.prime(f.image for f in video.frames(lambda i: i % 10 == 0))
-    hits: list[bool] = []
-    for frame in video.frames(lambda i: i % source.every_frame == 0):
-        source.observe(frame.image)
-        if frame.number in boxes:
-            found = look(source, frame.image)
-            hits += [max(iou(found, box), default=0) > 0.6 for box in boxes[frame.number]]
-    assert np.mean(hits) >= 0.8
+    best: list[float] = []
+    for frame in video.frames(lambda i: i % source.every_frame == 0 or i in drawn):
+        if frame.number % source.every_frame == 0:
+            source.observe(frame.image)
+        if frame.number in drawn:
+            found = look(source, frame.image).boxes_xyxy.astype(float)
+            best += [max((box_iou(box, other) for other in found.tolist()), default=0) for box in drawn[frame.number]]
+    assert np.mean(np.array(best) > 0.6) >= 0.9
+    assert np.median(best) > 0.75
+
+
+def box_iou(one: Box, two: list[float]) -> float:
+    w = min(one[2], two[2]) - max(one[0], two[0])
+    h = min(one[3], two[3]) - max(one[1], two[1])
+    shared = max(w, 0) * max(h, 0)
+    return shared / ((one[2] - one[0]) * (one[3] - one[1]) + (two[2] - two[0]) * (two[3] - two[1]) - shared)
