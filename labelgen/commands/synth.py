@@ -53,7 +53,9 @@ def session(
     replay: Annotated[bool, typer.Option("--replay", help="Re-enact the scene's recorded traffic.")] = False,
     start: Annotated[
         float | None,
-        typer.Option("--start", metavar="S", help="With --replay: where to begin; before the first crossing by default."),
+        typer.Option(
+            "--start", metavar="S", help="With --replay: where to begin; before the first crossing by default."
+        ),
     ] = None,
     weather: Annotated[str | None, typer.Option("--weather", help="day, overcast, dusk or rain.")] = None,
     traffic: Annotated[float, typer.Option("--traffic", min=0.1, help="Vehicles per lane and minute.")] = 18.0,

@@ -117,7 +117,7 @@ CURVE = _camera_curve()
 def _curve(value: float, curve: _F) -> float:
     at = min(max(value, 0.0), 4.0) * 1024
     low = int(at)
-    return curve[low] + (at - low) * (curve[low + 1] - curve[low])
+    return float(curve[low] + (at - low) * (curve[low + 1] - curve[low]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -56,7 +56,7 @@ class Placed:
         """(V, 3) vertices of its mesh in the road frame."""
         turned = self.vehicle.mesh.vertices * np.array([self.heading, self.heading, 1.0])
         turned[:, :2] += self.centre_xy
-        return turned
+        return np.asarray(turned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,19 +85,26 @@ def painting_order(vehicles: Sequence[Placed]) -> list[int]:
         """Whether `a` may be hidden by `b`."""
         ax0, ax1, ay0, ay1 = a.bounds
         bx0, bx1, by0, by1 = b.bounds
+        # A plane between the two decides: who stands on the camera's side of it may hide the other.
         if ay0 >= by1:
-            return ay0 >= 0
+            return by1 > 0
         if by0 >= ay1:
-            return ay1 <= 0
+            return by0 < 0
         if ax0 >= bx1:
-            return ax0 >= 0
-        return ax1 <= 0
+            return bx1 > 0
+        return bx0 >= ax1 and bx0 < 0
 
     left = sorted(range(len(vehicles)), key=lambda i: -float(np.hypot(*vehicles[i].centre_xy)))
     order: list[int] = []
     while left:
         # The first one that hides none of the others still to be drawn; cycles fall back to the farthest.
-        free = (i for i in left if not any(behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])))
+        free = (
+            i
+            for i in left
+            if not any(
+                behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])
+            )
+        )
         chosen = next(free, left[0])
         left.remove(chosen)
         order.append(chosen)
@@ -130,10 +137,11 @@ class Renderer:
         """A tile of noise around 128, larger than the frame so that every frame takes another part of it."""
         width, height = self.size_wh
         shape = (height + 128, width + 128)
-        grey = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
-        colour = self._rng.normal(0, 0.6 * self.light.noise, (*shape, 3)).astype(np.float32)
+        grey: Any = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
+        colour: Any = self._rng.normal(0, 0.6 * self.light.noise, (*shape, 3)).astype(np.float32)
         colour = cv2.GaussianBlur(colour, (0, 0), 0.8) * 1.6
-        return np.clip(128 + cv2.GaussianBlur(grey, (0, 0), 0.5)[..., None] * 1.3 + colour, 0, 255).round().astype(np.uint8)
+        grey = cv2.GaussianBlur(grey, (0, 0), 0.5) * 1.3
+        return np.asarray(np.clip(128 + grey[..., None] + colour, 0, 255).round(), dtype=np.uint8)
 
     def frame(self, vehicles: Sequence[Placed], *, number: int = 0) -> tuple[NDArray[np.uint8], list[Drawn]]:
         """One frame and the masks of the vehicles that show in it.
@@ -232,7 +240,7 @@ class Renderer:
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
-        layer = shade(
+        layer: Any = shade(
             ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
             self._packed, pose, self.light.exposure, CURVE, origin, ss,
         )  # fmt: skip
@@ -241,7 +249,7 @@ class Renderer:
         kept = cv2.merge([1 - layer[..., 3]] * 3)
         part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
 
-    def _soften(self, layer: NDArray[np.float32], placed: Placed) -> NDArray[np.float32]:
+    def _soften(self, layer: Any, placed: Placed) -> Any:
         """Lens blur, and motion blur along the vehicle's path in the image."""
         layer = cv2.GaussianBlur(layer, (0, 0), self.softness)
         x, y = placed.centre_xy

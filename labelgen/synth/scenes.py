@@ -157,7 +157,9 @@ def procedural_scene(
         gap = rng.uniform(0.3, 3.0)
         side = -1 if heading < 0 else 1
         start = (edges[0] if side < 0 else edges[-1]) + side * gap
-        lanes += [Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)]
+        lanes += [
+            Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)
+        ]
     near, far = visible_range(camera, middle) or (distance - 5, distance + 30)
     near = max(near, 2.0) + 3.0
     far = min(far - 3.0, near + depth_m)
