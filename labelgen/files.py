@@ -13,7 +13,14 @@ from typing import Any
 
 from labelgen.errors import OutputError
 
-__all__ = ["TEMPORARY_PREFIX", "make_folder", "remove_temporary_files", "write_atomic", "write_json"]
+__all__ = [
+    "TEMPORARY_PREFIX",
+    "as_output_error",
+    "make_folder",
+    "remove_temporary_files",
+    "write_atomic",
+    "write_json",
+]
 
 TEMPORARY_PREFIX = ".labelgen-"
 
@@ -22,12 +29,15 @@ _ADVICE = {
     errno.EDQUOT: "disk quota exceeded; free some space, the job goes on where it stopped",
     errno.EFBIG: "file too large for the file system or the set limit",
     errno.EACCES: "permission denied; choose another --out or change its permissions",
+    errno.EMFILE: "too many open files; raise the limit (ulimit -n)",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
     errno.EROFS: "read-only file system; choose another --out",
 }
 
 
 @contextlib.contextmanager
-def _as_output_error(path: Path) -> Iterator[None]:
+def as_output_error(path: Path) -> Iterator[None]:
+    """Turn what goes wrong with a file written inside the block into an OutputError that says how to mend it."""
     try:
         yield
     except OSError as err:
@@ -37,7 +47,7 @@ def _as_output_error(path: Path) -> Iterator[None]:
 
 def make_folder(path: Path) -> Path:
     """Create a folder with its parents; OutputError where that is not possible."""
-    with _as_output_error(path):
+    with as_output_error(path):
         path.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -48,7 +58,12 @@ def write_atomic(path: Path, data: bytes | memoryview) -> None:
     Raises:
         OutputError: the disk is full, the folder not writable, and so on; nothing is left behind.
     """
-    with _as_output_error(path):
+    with as_output_error(path):
+        if path.is_symlink():
+            path = path.resolve()
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_bytes(data)  # a device or a pipe: it is written to, never replaced
+            return
         handle, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, suffix=".tmp", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -78,7 +93,7 @@ def _sync_folder(folder: Path) -> None:
 
 def write_json(path: Path, data: Any) -> None:
     """Write JSON atomically, keys in the order given."""
-    write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+    write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode("utf-8", "backslashreplace"))
 
 
 def remove_temporary_files(folder: Path) -> None:

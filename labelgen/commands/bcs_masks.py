@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labelgen.commands.common import (
+    check_report_path,
     CalibrationOption,
     JsonOption,
     OverwriteOption,
@@ -75,6 +76,7 @@ def bcs_masks(
     from labelgen.manifest import load_manifest
     from labelgen.sources.scenes import find_scene
 
+    check_report_path(json_file)
     chosen_pair = Pair.parse(pair)
     size_wh = parse_size(size or load_manifest("brnocompspeed")["sizes"][str(chosen_pair)])
     scenes = [find_scene(path, calibration=calibration, road_mask=road_mask) for path in inputs]

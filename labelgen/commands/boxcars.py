@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labelgen.commands.common import (
+    check_report_path,
     JsonOption,
     OverwriteOption,
     PairOption,
@@ -61,6 +62,7 @@ def boxcars(
     from labelgen.manifest import find_root, load_manifest
     from labelgen.sources.boxcars import BoxCars
 
+    check_report_path(json_file)
     manifest = load_manifest("boxcars116k")
     chosen_pair = Pair.parse(pair)
     size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])

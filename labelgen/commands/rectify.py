@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labelgen.commands.common import (
+    check_report_path,
     CalibrationOption,
     JsonOption,
     OverwriteOption,
@@ -48,6 +49,7 @@ def rectify(
     from labelgen.sources.pictures import read_picture
     from labelgen.sources.scenes import find_scene
 
+    check_report_path(json_file, out)
     chosen_pair = Pair.parse(pair)
     size_wh = parse_size(size or load_manifest("brnocompspeed")["sizes"][str(chosen_pair)])
     if cover not in ("frame", "mask"):

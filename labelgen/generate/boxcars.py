@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from labelgen.sources.boxcars import BoxCars, Instance
 
 __all__ = ["BoxCarsUnit", "boxcars_job"]
 
+_SOURCE = "boxcars116k"
 _CHUNK = 64
 # A decoded box further than this share of its size from the annotated one is flagged as misaligned.
 _MISALIGNED = 0.02
@@ -100,8 +102,8 @@ def boxcars_job(
         data.annotations.name: digest,
         "pictures": "atlas" if data.from_atlas else "images",
     }
-    sources = {} if data.from_atlas else {"images": {"path": str(data.images.resolve())}}
-    return Job("boxcars", chosen, inputs, units, sources)
+    originals = {} if data.from_atlas else {_SOURCE: {"images": str(data.images.resolve())}}
+    return Job("boxcars", chosen, inputs, units, originals)
 
 
 def _left_out(instance: Instance, cameras: Sequence[str] | None, to_camera_only: bool) -> str:
@@ -144,12 +146,21 @@ class BoxCarsUnit:
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
         path = self._path(out)
-        return None if finished_part(path) is None else [path]
+        found = finished_part(
+            path,
+            pair=str(self.pair),
+            size=f"{self.size_wh[0]}x{self.size_wh[1]}",
+            source=_SOURCE,
+            part=self.number,
+            last=int(self.last),
+            settings=json.dumps(dict(self.settings), sort_keys=True),
+        )
+        return None if found is None else [path]
 
     def run(self, out: Path, progress: Progress) -> None:
         """See `Unit`."""
         with ShardWriter(
-            self._path(out), self.pair, self.size_wh, source="boxcars116k", part=self.number, settings=self.settings
+            self._path(out), self.pair, self.size_wh, source=_SOURCE, part=self.number, settings=self.settings
         ) as writer:
             writer.last = self.last
             for start in range(0, len(self.instances), _CHUNK):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -147,7 +148,7 @@ class VideoUnit:
         taken = -(-announced // self.every)
         return taken if self.limit is None else min(taken, self.limit)
 
-    def whereabouts(self) -> dict[str, str]:
+    def whereabouts(self) -> dict[str, str | None]:
         """Where the originals lie on this machine."""
         kind, _, file = self.masks.masks.partition(":")
         return {
@@ -155,6 +156,7 @@ class VideoUnit:
             "calibration": str(self.scene.calibration_path.resolve()),
             "road_mask": str(self.scene.mask_path.resolve()),
             "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
+            "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
         }
 
     def _frames(self) -> FrameSource:
@@ -182,7 +184,13 @@ class VideoUnit:
     def _there(self, out: Path) -> list[ShardReader]:
         """Shards on disk, in order, up to the first gap."""
         readers: list[ShardReader] = []
-        while (reader := finished_part(self._path(out, len(readers)))) is not None:
+        expected = {
+            "pair": str(self.pair),
+            "size": f"{self.size_wh[0]}x{self.size_wh[1]}",
+            "source": self.scene.name,
+            "settings": json.dumps(dict(self.settings), sort_keys=True),
+        }
+        while (reader := finished_part(self._path(out, len(readers)), part=len(readers), **expected)) is not None:
             readers.append(reader)
         return readers
 
