@@ -57,7 +57,7 @@ def test_paths_that_lead_nowhere(tmp_path: Path, name: str) -> None:
         with pytest.raises(DataError, match=r"n.*: .") as caught:
             read(tmp_path / name)
         str(caught.value).encode()
-    with pytest.raises(DataError, match="^crop 7: "):
+    with pytest.raises(DataError, match=r"^crop 7: "):
         read_image(tmp_path / name, what="crop 7")
 
 
