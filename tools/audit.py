@@ -62,7 +62,9 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
         raise DataError(f"{shards[0]}: no label in these shards, there is nothing to look at")
     kinds = sorted({f"{reader.pair} {reader.attributes['size']}" for reader in data.readers})
     if len(kinds) > 1:
-        raise DataError(f"these shards are of different pairs or sizes ({', '.join(kinds)}); audit each kind on its own")
+        raise DataError(
+            f"these shards are of different pairs or sizes ({', '.join(kinds)}); audit each kind on its own"
+        )
     make_folder(out)
     originals = Originals(data)
     audit = Audit(out / "index.html")

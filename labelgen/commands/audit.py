@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labelgen.commands.common import check_report_path, JsonOption, OverwriteOption, print_table, write_json_report
+from labelgen.commands.common import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
 
 __all__ = ["audit"]
 

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from labelgen.commands.common import (
-    check_report_path,
     CalibrationOption,
     JsonOption,
     OverwriteOption,
@@ -17,6 +16,7 @@ from labelgen.commands.common import (
     RoadMaskOption,
     SceneSizeOption,
     WorkersOption,
+    check_report_path,
     show_summary,
 )
 

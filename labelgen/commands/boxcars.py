@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from labelgen.commands.common import (
-    check_report_path,
     JsonOption,
     OverwriteOption,
     PairOption,
     QualityOption,
     WorkersOption,
+    check_report_path,
     show_summary,
 )
 

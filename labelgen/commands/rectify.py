@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from labelgen.commands.common import (
-    check_report_path,
     CalibrationOption,
     JsonOption,
     OverwriteOption,
     PairOption,
     RoadMaskOption,
     SceneSizeOption,
+    check_report_path,
     print_table,
     write_json_report,
 )

@@ -109,7 +109,6 @@ def merge(
 ) -> None:
     """Put shards of several data sets into one folder with a common index. Their content stays as it is."""
     from labelgen.errors import OutputError
-    from labelgen.errors import OutputError
     from labelgen.generate.staging import Staging
     from labelgen.shards import find_shards, merge_shards
 

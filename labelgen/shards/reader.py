@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -91,7 +92,7 @@ class ShardReader:
             raise DataError(f"{self.path}: not a labelgen shard")
         if found.get("version") != VERSION:
             raise DataError(
-                f"{self.path}: shard format {found.get('version')}, this labelgen reads {VERSION}; use the other version"
+                f"{self.path}: shard format {found.get('version')}, this labelgen reads {VERSION}; use the other one"
             )
         if missing:
             raise DataError(f"{self.path}: damaged, it lacks {', '.join(missing)}; make it again")
