@@ -242,7 +242,7 @@ class Rectification:
         reason = f"; the line joining VP2 and VP{pair.vertical} crosses it" if crossed else ""
         raise RectificationError(
             f"road mask: cropped away before {min_coverage:.0%} of the {pair} output lay inside the {cover}{reason}; "
-            "mark less of the road near the camera, or ask for less coverage"
+            "mark less of the road near the camera"
         )
 
     @classmethod

@@ -103,7 +103,7 @@ def validate_shard(path: str | Path) -> list[str]:
         try:
             attributes = reader.attributes
             reader.pair, reader.size_wh, reader.settings  # noqa: B018  parsed for their errors
-        except (LabelgenError, ValueError) as err:
+        except (LabelgenError, *_UNREADABLE) as err:
             return [str(err)]
         try:
             arrays = _read_all(Path(path))
@@ -117,7 +117,7 @@ def validate_shard(path: str | Path) -> list[str]:
             problems += _check_images(arrays, reader.size_wh)
             try:
                 reader.cameras, reader.rejects  # noqa: B018
-            except (LabelgenError, ValueError, TypeError) as err:
+            except (LabelgenError, *_UNREADABLE) as err:
                 problems.append(str(err))
         return problems
 
