@@ -174,14 +174,14 @@ def _light_on(
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
     away = 1 - facing
     sharp = toward_sun > 0.8
-    fresnel = 0.04 + 0.96 * away * away * away * away * away
+    fresnel = 0.055 + 0.945 * away * away * away * away * away
     gleam, spread = 0.0, 0.0
     if material == PAINT:
         metal = paint[0]
         squared = toward_sun * toward_sun * toward_sun
         spread = metal * 0.8 * squared * squared * squared * squared
         if sharp:
-            gleam = paint[1] * 12.0 * toward_sun**350
+            gleam = paint[1] * 26.0 * toward_sun**260
         fresnel *= paint[1]
         grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
         red += (0.16 - red) * grime

@@ -20,7 +20,7 @@ from labelgen.synth.road import draw_road
 from labelgen.synth.scenes import Scene, procedural_scene, visible_range
 from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
-from labelgen.synth.vehicles import Vehicle
+from labelgen.synth.vehicles import Vehicle, check_kinds
 
 __all__ = ["SessionSummary", "place", "write_session"]
 
@@ -97,6 +97,7 @@ def write_session(
         DataError: the scene cannot be read, or nothing is known of its traffic.
     """
     rng = np.random.default_rng([seed, 1])
+    check_kinds(kinds or [])
     if scene is None:
         if replay:
             raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")

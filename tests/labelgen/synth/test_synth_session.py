@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import av
@@ -89,7 +90,7 @@ def test_speeds_are_the_distance_between_frames(boxes: list[dict]) -> None:
             places.setdefault(v["track_id"], []).append((frame["frame"], v["near_xy_m"][0], v["speed_kmh"]))
     checked = 0
     for seen in places.values():
-        for (f0, x0, speed), (f1, x1, _) in zip(seen[:-1], seen[1:], strict=True):
+        for (f0, x0, speed), (f1, x1, _) in pairwise(seen):
             assert abs(x1 - x0) * 5 / (f1 - f0) * 3.6 == pytest.approx(speed, rel=1e-4)
             checked += 1
     assert checked > 10
