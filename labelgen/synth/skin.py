@@ -272,12 +272,12 @@ def _interior(skin: Skin, chart: Chart, span: tuple[float, float], half: float, 
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
     for side in (-0.5, 0.5):
-        seat = rng.uniform(0.012, 0.06)
+        seat = rng.uniform(0.012, 0.035)
         oval(side * half, high - 0.15 * (high - low), 0.22, 0.10 * (high - low), (seat, seat, seat))
         if side < 0 or rng.random() < 0.4:
-            r, g, b = (rng.uniform(0.01, 0.10) * rng.normal(1, 0.15, 3).clip(0.6, 1.4)).tolist()
+            r, g, b = (rng.uniform(0.008, 0.04) * rng.normal(1, 0.15, 3).clip(0.6, 1.4)).tolist()
             oval(side * half, low + 0.55 * (high - low), 0.20, 0.16 * (high - low), (r, g, b))
-            oval(side * half, low + 0.78 * (high - low), 0.085, 0.10 * (high - low), (0.09, 0.055, 0.04))
+            oval(side * half, low + 0.78 * (high - low), 0.085, 0.09 * (high - low), (0.045, 0.03, 0.024))
 
 
 def _draw_front(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator, lamps: bool) -> None:

@@ -57,14 +57,31 @@ def test_speeds_are_what_the_calibration_makes_of_the_tracks(name: str, replays:
     speeds = {
         c["carId"]: c["speed"] for c in load_pickle(replays / "dataset" / name / "gt_data.pkl")["cars"] if c["valid"]
     }
+    tracks = json.loads((replays / "truth" / name / "tracks.json").read_text(encoding="utf-8"))["tracks"]
+    numbers = {t["track_id"]: t["car_id"] for t in tracks}
     checked = 0
     for car in result["cars"]:
-        if car["id"] in speeds and len(car["frames"]) > 20:
+        number = numbers[car["id"]]
+        if number in speeds and len(car["frames"]) > 20:
             places = camera.road_points(np.stack([car["posX"], car["posY"]], axis=1))
             way = np.linalg.norm(places[5:] - places[:-5], axis=1) / (np.diff(car["frames"]).mean() * 5) * 50 * 3.6
-            assert np.median(way) == pytest.approx(speeds[car["id"]], abs=0.05)
+            assert np.median(way) == pytest.approx(speeds[number], abs=0.05)
             checked += 1
     assert checked >= 2
+
+
+@needs_real_data
+def test_cars_that_share_a_number_stay_apart(tmp_path: Path) -> None:
+    recorded = [c["carId"] for c in load_pickle(folder("session0_center") / "gt_data.pkl")["cars"]]
+    assert len(set(recorded)) < len(recorded)
+    write_session(tmp_path, scene=folder("session0_center"), replay=True, duration_s=60, fps=5, video=False)
+    text = (tmp_path / "truth" / "session0_center" / "boxes.jsonl").read_text(encoding="utf-8")
+    last: dict[int, float] = {}
+    for line in text.splitlines():
+        for vehicle in json.loads(line)["vehicles"]:
+            x = vehicle["near_xy_m"][0]
+            assert abs(x - last.get(vehicle["track_id"], x)) < 12
+            last[vehicle["track_id"]] = x
 
 
 @needs_real_data
