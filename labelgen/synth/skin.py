@@ -109,7 +109,7 @@ class Skin:
                 # Materials do not mix.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
                 self._levels.append((half, maps / 2))
-        number = int(np.clip(np.floor(np.log2(max(metres_per_px * PPM, 1.0)) + 0.3), 0, 4))
+        number = int(np.clip(np.floor(np.log2(max(metres_per_px * PPM, 1.0)) + 0.6), 0, 4))
         return self._levels[number]
 
 
