@@ -72,8 +72,11 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     for placed in batches[:3]:
         renderer.frame(placed)
     stages = _Stages()
-    for name in ("visible_triangles", "shade", "_visible_parts", "painting_order"):
-        setattr(render, name, stages.timed(name.strip("_"), getattr(render, name)))
+    functions = {
+        name: getattr(render, name) for name in ("visible_triangles", "shade", "_visible_parts", "painting_order")
+    }
+    for name, function in functions.items():
+        setattr(render, name, stages.timed(name.strip("_"), function))
     for name in ("_cast_shadow", "_draw", "_paint", "_soften", "_add_noise", "frame"):
         setattr(renderer, name, stages.timed(name.strip("_"), getattr(renderer, name)))
     pixels = 0

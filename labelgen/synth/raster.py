@@ -150,10 +150,19 @@ def _light_on(
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
     iu = min(max(int(u), 0), skin.shape[1] - 1)
     iv = min(max(int(v), 0), skin.shape[0] - 1)
-    red = (skin[iv, iu, 0] / 255.0) ** 2
-    green = (skin[iv, iu, 1] / 255.0) ** 2
-    blue = (skin[iv, iu, 2] / 255.0) ** 2
     material = skin[iv, iu, 3]
+    # Colours between the four nearest texels, so that edges drawn on the skin come out smooth.
+    u, v = min(max(u - 0.5, 0.0), skin.shape[1] - 1.001), min(max(v - 0.5, 0.0), skin.shape[0] - 1.001)
+    iu, iv = int(u), int(v)
+    fu, fv = u - iu, v - iv
+    w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
+    iu1, iv1 = min(iu + 1, skin.shape[1] - 1), min(iv + 1, skin.shape[0] - 1)
+    red, green, blue = 0.0, 0.0, 0.0
+    for tu, tv, share in ((iu, iv, w00), (iu1, iv, w10), (iu, iv1, w01), (iu1, iv1, w11)):
+        red += share * skin[tv, tu, 0]
+        green += share * skin[tv, tu, 1]
+        blue += share * skin[tv, tu, 2]
+    red, green, blue = red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0
     if material == LIT:
         return red * light[18], green * light[18], blue * light[18]
 
@@ -174,14 +183,14 @@ def _light_on(
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
     away = 1 - facing
     sharp = toward_sun > 0.8
-    fresnel = 0.04 + 0.96 * away * away * away * away * away
+    fresnel = 0.055 + 0.945 * away * away * away * away * away
     gleam, spread = 0.0, 0.0
     if material == PAINT:
         metal = paint[0]
         squared = toward_sun * toward_sun * toward_sun
         spread = metal * 0.8 * squared * squared * squared * squared
         if sharp:
-            gleam = paint[1] * 12.0 * toward_sun**350
+            gleam = paint[1] * 26.0 * toward_sun**260
         fresnel *= paint[1]
         grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
         red += (0.16 - red) * grime

@@ -149,14 +149,15 @@ def replayed_traffic(
     first = min((i["videoTime"] for c in gt["cars"] for i in c["intersections"]), default=0.0)
     start = max(0.0, float(first) - _LEAD_S) if start_s is None else start_s
     trips = []
-    for car in gt["cars"]:
+    # Numbers of cars repeat in some recordings, so tracks are numbered by their place in the file.
+    for number, car in enumerate(gt["cars"], start=1):
         times = {int(i["measurementLineId"]): float(i["videoTime"]) - start for i in car["intersections"]}
         lane_index = min(car["laneIndex"], default=None)
         if not times or lane_index is None or not -20 < max(times.values()) < duration_s + 20:
             continue
         lane = next((lane for lane in scene.lanes if lane.index == lane_index), None)
         if lane is not None:
-            trips.append(_trip(scene, lane, int(car["carId"]), times, seed))
+            trips.append(_trip(scene, lane, number, int(car["carId"]), times, seed))
     if not any(0 <= t < duration_s for trip in trips for t in trip.knots_s):
         raise DataError(
             f"{scene.name}: no crossing was recorded between {start:.0f} and {start + duration_s:.0f} s; "
@@ -166,14 +167,14 @@ def replayed_traffic(
     return _dressed(trips, seed, kinds)
 
 
-def _trip(scene: Scene, lane: Lane, car_id: int, times: dict[int, float], seed: int) -> Trip:
+def _trip(scene: Scene, lane: Lane, number: int, car_id: int, times: dict[int, float], seed: int) -> Trip:
     knots = sorted((time, near_path_x(scene, scene.measurement_lines[k], lane, 0.0)) for k, time in times.items())
     if len(knots) == 1:
         # Seen at one line only: the lane's usual speed.
         time, x = knots[0]
         knots.append((time + 1.0, x + lane.heading * lane.speed_kmh / 3.6))
     t, x = np.array(knots).T
-    return Trip(car_id, "", (seed, 31, car_id), lane, np.zeros(3), t, x, 0.0, car_id)
+    return Trip(number, "", (seed, 31, number), lane, np.zeros(3), t, x, 0.0, car_id)
 
 
 def _dressed(trips: list[Trip], seed: int, kinds: Sequence[str] | None) -> list[Trip]:

@@ -20,7 +20,7 @@ from labelgen.synth.road import draw_road
 from labelgen.synth.scenes import Scene, procedural_scene, visible_range
 from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
-from labelgen.synth.vehicles import Vehicle
+from labelgen.synth.vehicles import Vehicle, check_kinds
 
 __all__ = ["SessionSummary", "place", "write_session"]
 
@@ -96,24 +96,23 @@ def write_session(
         OutputError: the session exists, or cannot be written.
         DataError: the scene cannot be read, or nothing is known of its traffic.
     """
-    rng = np.random.default_rng([seed, 1])
+    check_kinds(kinds or [])
     if scene is None:
         if replay:
             raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
-        place_of = procedural_scene(rng, size_wh, heading=heading, name=name)
-        light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.4, 0.35, 0.1, 0.15]))], rng)
-        place_of = replace(place_of, background=draw_road(place_of, light, rng))
-        trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+        place_of, light = _made_up(seed, size_wh, heading, name, weather)
         surveyed = None
     else:
-        from labelgen.synth.replay import load_scene, replayed_traffic
+        from labelgen.synth.replay import load_scene
 
-        place_of, light, surveyed = load_scene(scene, weather or Weather.OVERCAST, rng)
+        place_of, light, surveyed = load_scene(scene, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
         name = place_of.name
-        if replay:
-            trips = replayed_traffic(place_of, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
-        else:
-            trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+    if replay and surveyed is not None:
+        from labelgen.synth.replay import replayed_traffic
+
+        trips = replayed_traffic(place_of, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+    else:
+        trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = {part: out / part / name for part in ("dataset", "results", "truth")}
     for folder in folders.values():
         if folder.exists() and any(folder.iterdir()) and not overwrite:
@@ -182,6 +181,16 @@ def _render(
             complete = False
         cars = truth.result_cars()
     return complete, done, masks, cars
+
+
+def _made_up(
+    seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None
+) -> tuple[Scene, Light]:
+    """A made-up road and its light, with its picture."""
+    rng = np.random.default_rng([seed, 1])
+    scene = procedural_scene(rng, size_wh, heading=heading, name=name)
+    light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.4, 0.35, 0.1, 0.15]))], rng)
+    return replace(scene, background=draw_road(scene, light, rng)), light
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

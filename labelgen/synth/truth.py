@@ -55,7 +55,10 @@ def encode_mask(mask: NDArray[np.bool_], origin_px: tuple[int, int], size_wh: tu
     keep = np.ones(len(at), dtype=np.bool_)
     touching = np.flatnonzero(np.diff(at) == 0)
     keep[touching] = keep[touching + 1] = False
-    counts = np.diff(np.concatenate([[0], at[keep], [width * height]]))
+    at = at[keep]
+    # The last run is not written when it is empty.
+    ends = at if len(at) and at[-1] == width * height else np.append(at, width * height)
+    counts = np.diff(ends, prepend=0)
     rle = coco.frPyObjects({"counts": counts.tolist(), "size": [height, width]}, height, width)
     return {"counts": rle["counts"].decode("ascii"), "size": [height, width]}
 

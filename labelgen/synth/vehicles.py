@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.skin import Skin, draw_skin
 
-__all__ = ["Vehicle", "body_kinds", "make_vehicle", "vehicle_size"]
+__all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size"]
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
@@ -61,6 +62,13 @@ def body_kinds(longest_m: float = np.inf) -> tuple[list[str], NDArray[np.float64
     kinds = [kind for kind, shape in BODY_TYPES.items() if shape.length * 1.05 <= longest_m] or ["supermini"]
     shares = np.array([BODY_TYPES[kind].share for kind in kinds])
     return kinds, shares / shares.sum()
+
+
+def check_kinds(kinds: Iterable[str]) -> None:
+    """DataError when one of them is no body type."""
+    for kind in kinds:
+        if kind not in BODY_TYPES and kind != "box":
+            raise DataError(f"--bodies {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box")
 
 
 def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) -> Vehicle:
@@ -110,8 +118,7 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
         half = size / 2
         mesh = box_mesh((-half[0], -half[1], 0), (half[0], half[1], size[2]))
         return _Body(VehicleClass.VEHICLE, None, mesh, size, colour, metal)
-    if kind not in BODY_TYPES:
-        raise DataError(f"--bodies {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box")
+    check_kinds([kind])
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
         colour, metal = (0.68, 0.68, 0.67), 0.0
     shape = sample_shape(kind, rng)

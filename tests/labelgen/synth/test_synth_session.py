@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-import pickle
 import signal
 import subprocess
 import sys
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -191,16 +188,20 @@ def test_an_interrupted_session_is_a_shorter_one(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from labelgen.commands.synth import synth_app; synth_app()", "session"]
     command += ["--out", str(tmp_path), "--size", "640x360", "--duration", "200", "--seed", "4"]
     boxes_file = tmp_path / "truth" / NAME / "boxes.jsonl"
-    process = subprocess.Popen(command, env={**os.environ, "PYTHONUNBUFFERED": "1"}, stderr=subprocess.DEVNULL)
-    for _ in range(600):
-        if boxes_file.exists() and boxes_file.stat().st_size > 20000:
-            break
-        time.sleep(0.1)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    seen = b""
+    while b"| 5" not in seen:
+        # The progress bar, until it has counted past the first fifty frames or so.
+        chunk = process.stderr.read(64)
+        assert chunk, seen
+        seen += chunk
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=60) == 130
+    process.communicate(timeout=120)
+    assert process.returncode == 130
     count = len(frames_of(tmp_path / "dataset" / NAME / "video.avi"))
     assert 0 < count < 5000
     assert len(boxes_file.read_text(encoding="utf-8").splitlines()) == count
     masks = json.loads((tmp_path / "truth" / NAME / "masks.json").read_text(encoding="utf-8"))
     assert len(masks["images"]) == count
-    assert pickle.loads((tmp_path / "dataset" / NAME / "gt_data.pkl").read_bytes())["fps"] == 25
+    assert load_pickle(tmp_path / "dataset" / NAME / "gt_data.pkl")["fps"] == 25
