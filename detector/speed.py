@@ -2,8 +2,8 @@
 
 A vehicle's speed is the median of the speeds between its points i and i + 5 (the public evaluation protocol), with
 the frames' own time stamps. Its uncertainty is the standard error of that median, from the spread of the same speeds:
-1.2533 * 1.4826 * MAD / sqrt(number of independent gaps). It tells how well the points agree, not how good the
-calibration is.
+1.2533 * 1.4826 * MAD / sqrt(number of gaps that share no points). It suits errors that wander slowly along the track,
+as those of boxes do, and is too careful where each point errs on its own. It knows nothing of the calibration's error.
 """
 
 from __future__ import annotations

@@ -200,9 +200,10 @@ def _offsets(camera: Camera, found: Detections, trips: Sequence[Trip], time_s: f
 
 def _exact(tracks: dict[int, dict[str, Any]], scene: Scene, trips: Sequence[Trip], number: int, time_s: float) -> None:
     """The true measured points of a frame: what the protocol makes of tracks without any error."""
+    size = np.asarray(scene.camera.image_wh)
     for trip in trips:
         point = scene.camera.project(trip.near_point(time_s))
-        if np.isfinite(point).all() and (point > 0).all() and (point < scene.camera.image_wh).all():
+        if np.isfinite(point).all() and (point > 0).all() and (point < size).all():
             car = tracks.setdefault(trip.track_id, {"id": trip.track_id, "frames": [], "posX": [], "posY": []})
             car["frames"].append(number)
             car["posX"].append(float(point[0]))

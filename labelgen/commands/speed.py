@@ -297,9 +297,13 @@ def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
 
 
 def _bar(job: _Job) -> AbstractContextManager[Any]:
+    import sys
+
     from tqdm import tqdm
 
-    return tqdm(total=job.expected, desc=job.name, unit="frame", mininterval=1.0)
+    interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line now and then
+    bar: AbstractContextManager[Any] = tqdm(total=job.expected, desc=job.name, unit="frame", mininterval=interval)
+    return bar
 
 
 def _say_what_is_there(files: ResultFiles) -> None:
