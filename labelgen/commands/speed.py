@@ -78,6 +78,10 @@ def speed(
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.001, metavar="S", help="Stop after S seconds of the video.")
     ] = None,
+    stall: Annotated[
+        float,
+        typer.Option("--stall", min=0.1, metavar="S", help="A stream that sends nothing for S seconds is given up."),
+    ] = 10.0,
     render: Annotated[
         bool, typer.Option("--render", help="Write a video with 3D boxes, track numbers, speeds.")
     ] = False,
@@ -94,7 +98,7 @@ def speed(
     from detector.speed import SpeedMeter
 
     chosen = _Options(
-        source, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration
+        source, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration, stall
     )
     kind, _, argument = from_.partition(":")
     job = _from_file(chosen, Path(argument), render) if kind == "detections" else _from_frames(chosen, kind, argument)
@@ -133,6 +137,7 @@ class _Options:
     device: str | None
     fps: float | None
     duration: float | None
+    stall: float
 
 
 @dataclass(frozen=True)
@@ -224,7 +229,7 @@ def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | Non
         road = RoadMask(read_mask(options.road_mask))
         # What can be wrong on this side is found out before the camera is bothered.
         Camera.load(options.calibration, image_wh=road.size_wh)
-        stream = VideoStream(options.source, duration_s=options.duration)
+        stream = VideoStream(options.source, duration_s=options.duration, stall_s=options.stall)
         return stream, Camera.load(options.calibration, image_wh=stream.size_wh), road, options.fps
     scene = find_scene(Path(options.source), calibration=options.calibration, road_mask=options.road_mask)
     assert scene.frames_path is not None
