@@ -11,6 +11,7 @@ from labelgen import __version__
 from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
+from labelgen.commands.demo import demo
 from labelgen.commands.evaluate import evaluate
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
@@ -50,6 +51,7 @@ app.command("inspect", short_help="Say what shards hold.")(inspect)
 app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
 app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
+app.command("demo", short_help="Synthetic traffic, labelled both ways, to look at.")(demo)
 app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
 app.command("speed", short_help="Tracks and speeds of the vehicles in a video.")(speed)
 app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
@@ -58,7 +60,8 @@ app.command("evaluate", short_help="Score tracks and speeds by the public protoc
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted."""
     try:
-        code = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        given = list(sys.argv[1:] if arguments is None else arguments)
+        code = app(args=given, prog_name="labelgen", standalone_mode=False)
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
     except KeyboardInterrupt:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError, LabelgenError
 from labelgen.files import make_folder, write_atomic
 from labelgen.geometry.mask_label import Rule
-from labelgen.masks import create_mask_source
+from labelgen.masks import create_mask_source, masked_frames, prime_masks
 from labelgen.shards import ShardSet, summarise
 from labelgen.sources.frames import open_frames
 from labelgen.sources.scenes import read_mask
@@ -106,16 +105,11 @@ def _mask_figure(data: ShardSet, source: dict[str, str]) -> NDArray[np.uint8] | 
     sample = data[0]
     frames = open_frames(Path(source["path"]))
     masks = create_mask_source(source["masks"], road_mask=read_mask(Path(source["road_mask"])), frame_wh=frames.size_wh)
-    if masks.every_frame:
-        masks.prime(frame.image for frame in islice(frames.frames(), 500))
-    for frame in frames.frames(lambda n: n == sample.frame or bool(masks.every_frame and n % masks.every_frame == 0)):
-        if frame.number < sample.frame:
-            masks.observe(frame.image)
-            continue
-        found = masks.masks([frame.image], [frame.number], [frame.name])[0]
-        rule = Rule.parse(str(data.readers[0].settings.get("rule", Rule.WIDER)))
-        areas = sorted(range(len(found)), key=lambda i: -found.crops[i].sum())
-        for i in areas:
+    prime_masks(masks, frames)
+    rule = Rule.parse(str(data.readers[0].settings.get("rule", Rule.WIDER)))
+    for frame, found in masked_frames(frames, masks, lambda number: number == sample.frame):
+        assert found is not None
+        for i in sorted(range(len(found)), key=lambda i: -int(found.crops[i].sum())):
             x, y = (int(v) for v in found.origins[i])
             figure = mask_label_figure(frame.image, found.crops[i], (x, y), sample.rectification, rule)
             if figure is not None:

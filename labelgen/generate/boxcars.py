@@ -28,6 +28,8 @@ _CHUNK = 64
 _MISALIGNED = 0.02
 # ... and beyond this one the label would show another box than the annotation: it is refused.
 _UNUSABLE = 0.25
+# c_c this close to 0 or 1 is a box without depth or without height: no vehicle.
+_FLAT = 1e-3
 
 
 def boxcars_job(
@@ -142,7 +144,7 @@ class BoxCarsUnit:
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
         path = self._path(out)
-        return [path] if finished_part(path) else None
+        return None if finished_part(path) is None else [path]
 
     def run(self, out: Path, progress: Progress) -> None:
         """See `Unit`."""
@@ -219,6 +221,7 @@ def _label_boxes(vertices: Array, vpus: Array, size_wh: tuple[int, int]) -> list
     boxes = encoded.boxes_xyxy.astype(np.float32).astype(np.float64)
     cc = encoded.cc.astype(np.float32).astype(np.float64)
     decoded, valid = decode_boxes(boxes, cc, vpus)
+    valid &= (cc > _FLAT) & (cc < 1 - _FLAT)
     decoded = reorder_vertices(decoded, encoded.mirrored, encoded.reversed)
     extent = np.maximum((boxes[:, 2:] - boxes[:, :2]).max(axis=1), 1e-9)
     with np.errstate(invalid="ignore"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from labelgen.geometry.hull import RoadMask
 from labelgen.geometry.mask_label import Rule
 from labelgen.geometry.rectification import Pair, Rectification
 from labelgen.labels import Sample
-from labelgen.masks import InstanceMasks, MaskSource, create_mask_source
+from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.sources.frames import Frame, FrameSource, open_frames
 from labelgen.sources.scenes import Scene
@@ -37,7 +37,6 @@ class MaskSettings:
         score: least score of a mask.
         rule: how c_c's two candidates become one.
         limits: what to refuse.
-        batch: frames that Mask R-CNN sees at once.
         device: torch device; None for the GPU when there is one.
     """
 
@@ -46,7 +45,6 @@ class MaskSettings:
     score: float = 0.5
     rule: Rule = Rule.WIDER
     limits: LabelLimits = LABEL_LIMITS
-    batch: int = 4
     device: str | None = None
 
     def describe(self) -> dict[str, Any]:
@@ -184,7 +182,7 @@ class VideoUnit:
     def _there(self, out: Path) -> list[ShardReader]:
         """Shards on disk, in order, up to the first gap."""
         readers: list[ShardReader] = []
-        while reader := finished_part(self._path(out, len(readers))):
+        while (reader := finished_part(self._path(out, len(readers)))) is not None:
             readers.append(reader)
         return readers
 
@@ -200,73 +198,48 @@ class VideoUnit:
         frames, camera, road, rectification, source = self.prepare()
         name = self.scene.name
         have = len(self._there(out))
-        if source.every_frame:
-            stride = source.every_frame
-            images = frames.frames(lambda n: n % stride == 0)
-            source.prime(frame.image for frame in images)
+        prime_masks(source, frames)
         with ExitStack() as stack:
-            writer: ShardWriter | None = None
-            taken = 0
-            for frame, masks in self._masked(frames, source, have * self.per_shard):
-                part = taken // self.per_shard
-                taken += 1
+            writer = stack.enter_context(self._writer(out, have))
+            first = have * self.per_shard * self.every  # frames before it are in shards that are there
+            for frame, masks in masked_frames(frames, source, self._takes, lambda number: number >= first):
                 progress(1)
-                if masks is None:
-                    continue
-                if writer is None or part != writer.part:
+                while frame.number >= (writer.part + 1) * self.per_shard * self.every:
                     stack.close()
-                    writer = stack.enter_context(self._writer(out, part))
-                labels, rejects = label_masks(
-                    masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits
-                )
-                for item, reason, detail in rejects:
-                    writer.reject(Reject(name, frame.number, item, reason, detail))
-                if not len(labels):
-                    writer.reject(Reject(name, frame.number, -1, "frame without a labelled vehicle"))
-                    continue
-                encoded = self.codec.encode(rectification.warp_image(frame.image))
-                window = np.array([0.0, 0.0, *frames.size_wh])
-                split = self.scene.split_of(frame.number)
-                writer.add(
-                    Sample(encoded, labels, rectification, camera, name, frame.number, frame.time_s, split, window)
-                )
-            if writer is None:
-                writer = stack.enter_context(self._writer(out, taken // self.per_shard))
+                    writer = stack.enter_context(self._writer(out, writer.part + 1))
+                if masks is not None:
+                    self._label(frame, masks, frames.size_wh, rectification, camera, road, writer)
+                if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
+                    break
             writer.last = True
-            for problem in [*frames.problems, *getattr(source, "problems", [])]:
+            for problem in [*frames.problems, *source.problems]:
                 writer.reject(Reject(name, -1, -1, "damaged input", problem))
+
+    def _label(
+        self,
+        frame: Frame,
+        masks: InstanceMasks,
+        frame_wh: tuple[int, int],
+        rectification: Rectification,
+        camera: Camera,
+        road: RoadMask,
+        writer: ShardWriter,
+    ) -> None:
+        name = self.scene.name
+        labels, rejects = label_masks(masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits)
+        for item, reason, detail in rejects:
+            writer.reject(Reject(name, frame.number, item, reason, detail))
+        if not len(labels):
+            writer.reject(Reject(name, frame.number, -1, "frame without a labelled vehicle"))
+            return
+        encoded = self.codec.encode(rectification.warp_image(frame.image))
+        window = np.array([0.0, 0.0, *frame_wh])
+        split = self.scene.split_of(frame.number)
+        writer.add(Sample(encoded, labels, rectification, camera, name, frame.number, frame.time_s, split, window))
+
+    def _takes(self, number: int) -> bool:
+        return number % self.every == 0
 
     def _writer(self, out: Path, part: int) -> ShardWriter:
         path = self._path(out, part)
         return ShardWriter(path, self.pair, self.size_wh, source=self.scene.name, part=part, settings=self.settings)
-
-    def _masked(
-        self, frames: FrameSource, source: MaskSource, skip: int
-    ) -> Iterator[tuple[Frame, InstanceMasks | None]]:
-        """Taken frames with their masks, in order; the first `skip` ones, whose shards are there, without."""
-        stride = source.every_frame
-        batch: list[Frame] = []
-        taken = 0
-
-        def ask() -> Iterator[tuple[Frame, InstanceMasks]]:
-            images, names = [frame.image for frame in batch], [frame.name for frame in batch]
-            yield from zip(batch, source.masks(images, [frame.number for frame in batch], names), strict=True)
-            batch.clear()
-
-        for frame in frames.frames(lambda n: n % self.every == 0 or bool(stride and n % stride == 0)):
-            if frame.number % self.every:
-                source.observe(frame.image)
-                continue
-            if self.limit is not None and taken >= self.limit:
-                break
-            taken += 1
-            if taken <= skip:
-                if stride:
-                    source.observe(frame.image)
-                yield frame, None
-                continue
-            batch.append(frame)
-            # A background model has to be asked in step with what it observes.
-            if stride or len(batch) >= self.masks.batch:
-                yield from ask()
-        yield from ask()

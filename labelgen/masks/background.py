@@ -18,7 +18,7 @@ from labelgen.masks.silhouettes import Silhouette, find_silhouettes
 
 __all__ = ["BackgroundMasks"]
 
-# Larger frames are worked on at this width: silhouettes of vehicles gain nothing from more.
+# All frames are worked on at this width: the clean-up works in pixels, and silhouettes gain nothing from more.
 _WORKING_WIDTH = 640
 # A vehicle stands on the lowest part of its silhouette, of this share of its height.
 _FOOT_SHARE = 0.2
@@ -48,7 +48,7 @@ class BackgroundMasks:
         self._road = None if road_mask is None else binary_mask(road_mask)
         self._score_threshold = score_threshold
         self._model = BackgroundModel()
-        self._feet: NDArray[np.uint8] | None = None
+        self._feet: NDArray[np.bool_] | None = None
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Learn the empty scene from the beginning of the video, best from a minute or more of it."""
@@ -74,10 +74,11 @@ class BackgroundMasks:
                 f"road mask: it is {self._road.shape[1]}x{self._road.shape[0]} px, but the frames are {w}x{h}; "
                 "give a mask of the frame's size"
             )
-        if w <= _WORKING_WIDTH:
+        if w == _WORKING_WIDTH:
             return image
-        size = (_WORKING_WIDTH, round(h * _WORKING_WIDTH / w))
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        size = (_WORKING_WIDTH, max(1, round(h * _WORKING_WIDTH / w)))
+        how = cv2.INTER_AREA if w > _WORKING_WIDTH else cv2.INTER_CUBIC
+        return np.asarray(cv2.resize(image, size, interpolation=how), dtype=np.uint8)
 
     def _masks_of(self, image: NDArray[np.uint8]) -> InstanceMasks:
         frame_wh = (image.shape[1], image.shape[0])
@@ -109,7 +110,7 @@ class BackgroundMasks:
         if self._feet is None:
             # The near border of a mask is rarely drawn along the tyres.
             size = 2 * round(_FOOT_MARGIN_SHARE * self._road.shape[1]) + 1
-            self._feet = cv2.dilate(self._road.view(np.uint8), np.ones((size, size), np.uint8))
+            self._feet = cv2.dilate(self._road.view(np.uint8), np.ones((size, size), np.uint8)) > 0
         h = crop.shape[0]
         top = h - max(1, round(_FOOT_SHARE * h))
         rows, columns = np.nonzero(crop[top:])

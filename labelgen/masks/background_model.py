@@ -10,12 +10,13 @@ masts sway.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BackgroundModel", "is_ghost"]
+__all__ = ["BackgroundModel", "is_ghost", "lightness", "strongest"]
 
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -26,10 +27,10 @@ _SAMPLES = 64
 _MODE_SHARE = 0.4
 _NOISE_RANGE = (1.5, 12.0)
 # A pixel has changed from this difference on: in grey levels, in multiples of the pixel's flicker, and in pixels of
-# sway that moving the images has not undone.
-_CHANGE_LEVELS = 13.0
+# sway that moving the images has not undone; a camera that sways does so by more than a fixed one.
+_CHANGE_LEVELS = 12.0
 _CHANGE_SIGMAS = 4.0
-_SWAY_PX = 0.3
+_SWAY_PX = {False: 0.05, True: 0.3}
 # A shift between image and model is believed if the correlation peak is this clear and the shift of this size, px.
 _SHIFT_RESPONSE = 0.5
 _SHIFT_RANGE = (0.7, 24.0)
@@ -56,6 +57,7 @@ class BackgroundModel:
         self._previous: Image | None = None
         self._still: NDArray[np.uint8] | None = None
         self._observed = 0
+        self._sways = False
 
     def prime(self, images: Iterable[Image]) -> None:
         """Learn the scene from the beginning of a video, thinned evenly to a few dozen images."""
@@ -77,7 +79,7 @@ class BackgroundModel:
             mode, spread = _mode(stack[:, row : row + 32])
             background[row : row + 32], noise[row : row + 32] = mode, spread
         self.background = background
-        self._noise = cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5))
+        self._noise = np.asarray(cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5)), dtype=np.float32)
         self._edges = _edges(background)
         self.shadow = self._shadow_level(stack[:: max(1, len(stack) // 24)])
 
@@ -85,23 +87,25 @@ class BackgroundModel:
         """Follow the scene by one image."""
         if self.background is None or self.background.shape != image.shape:
             self._begin(image)
-        assert self.background is not None and self._noise is not None
+        assert self.background is not None
+        assert self._noise is not None
         image, _ = self.align(image)
+        smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.uint8)
         if self._previous is None or self._still is None:
-            self._previous, self._still = image, np.zeros(image.shape[:2], dtype=np.uint8)
+            self._previous, self._still = smooth, np.zeros(image.shape[:2], dtype=np.uint8)
         changed = self.changed(image)
         near = cv2.dilate(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
         difference = image - self.background
-        flicker = np.abs(difference).max(axis=2)
+        flicker = strongest(np.abs(difference))
         np.clip(difference, -1, 1, out=difference)
         difference[near] = 0
         self.background += difference
         self._noise += np.where(near, 0, np.clip(flicker * 1.5 - self._noise, -0.05, 0.05)).astype(np.float32)
         np.clip(self._noise, *_NOISE_RANGE, out=self._noise)
 
-        moved = cv2.absdiff(image, self._previous).max(axis=2) > _STILL_LEVELS
+        moved = strongest(cv2.absdiff(smooth, self._previous)) > _STILL_LEVELS
         self._still = np.where(moved | ~changed, 0, np.minimum(self._still, 254) + 1).astype(np.uint8)
-        self._previous = image
+        self._previous = smooth
         self._observed += 1
         if self._observed % _STILL_GHOST == 0:
             self._absorb(image)
@@ -109,7 +113,8 @@ class BackgroundModel:
 
     def align(self, image: Image) -> tuple[Image, tuple[int, int]]:
         """The image moved onto the model by whole pixels, and by how many (x, y) it was moved."""
-        assert self._edges is not None and self.background is not None
+        assert self._edges is not None
+        assert self.background is not None
         here = _edges(image.astype(np.float32))
         window = cv2.createHanningWindow((here.shape[1], here.shape[0]), cv2.CV_32F)
         (dx, dy), response = cv2.phaseCorrelate(here, self._edges, window)
@@ -117,6 +122,7 @@ class BackgroundModel:
         distance = float(np.hypot(dx, dy)) * 2
         if response < _SHIFT_RESPONSE or not low <= distance <= high:
             return image, (0, 0)
+        self._sways = True
         shift = round(dx * 2), round(dy * 2)
         h, w = image.shape[:2]
         # What the image does not show is taken to be empty.
@@ -131,20 +137,20 @@ class BackgroundModel:
         assert self.background is not None
         now, then = image[::4, ::4].reshape(-1, 3).astype(np.float32), self.background[::4, ::4].reshape(-1, 3)
         gains = np.clip(np.median((now + 8) / (then + 8), axis=0), 0.7, 1.4).astype(np.float32)
-        return cv2.blur(self.background * gains, (3, 3))
+        return np.asarray(cv2.blur(self.background * gains, (3, 3)), dtype=np.float32)
 
     def threshold(self, expected: Plane) -> Plane:
         """(H, W) difference, in grey levels, that neither flicker nor sway explains."""
         assert self._noise is not None
-        grey = expected.mean(axis=2)
-        slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8
-        return np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX * cv2.dilate(slope, np.ones((3, 3)))
+        steep = cv2.dilate(_slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
+        limit = np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * steep
+        return np.asarray(limit, dtype=np.float32)
 
     def changed(self, image: Image) -> BoolMask:
         """(H, W) which pixels of an aligned image differ from the background."""
         expected = self.expected(image)
-        difference = np.abs(cv2.blur(image, (3, 3)) - expected).max(axis=2)
-        return np.asarray(difference > self.threshold(expected))
+        smooth = cv2.blur(image, (3, 3)).astype(np.float32)
+        return np.asarray(strongest(cv2.absdiff(smooth, expected)) > self.threshold(expected))
 
     def _begin(self, image: Image) -> None:
         self.background = image.astype(np.float32)
@@ -153,9 +159,10 @@ class BackgroundModel:
         self._previous = None
 
     def _absorb(self, image: Image) -> None:
-        assert self._still is not None and self.background is not None
-        still = (self._still >= _STILL_GHOST).view(np.uint8)
-        still = cv2.morphologyEx(still, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        assert self._still is not None
+        assert self.background is not None
+        longer = (self._still >= _STILL_GHOST).view(np.uint8)
+        still = cv2.morphologyEx(longer, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(still)
         for i in range(1, count):
             x, y, w, h, _ = stats[i].tolist()
@@ -174,17 +181,27 @@ class BackgroundModel:
             expected = self.expected(image)
             smooth = cv2.blur(image, (3, 3)).astype(np.float32)
             changed = self.changed(image)
-            light = smooth.mean(axis=2)
-            ratio = (light + 4) / (expected.mean(axis=2) + 4)
+            light = lightness(smooth)
+            ratio = (light + 4) / (lightness(expected) + 4)
             inside = cv2.erode(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-            slope = np.abs(cv2.Sobel(light, cv2.CV_32F, 1, 0)) + np.abs(cv2.Sobel(light, cv2.CV_32F, 0, 1))
-            colour = np.abs(smooth - expected * ratio[..., None]).max(axis=2)
-            flat = inside & (slope < 25) & (colour < 10)
+            colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
+            flat = inside & (_slope(light) < 22) & (colour < 10)
             counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
         if counts.sum() < 200:
             return _TYPICAL_SHADOW
         smoothed = np.convolve(counts, [1, 2, 1], mode="same")
         return float((smoothed.argmax() + 0.5) / counts.size)
+
+
+def lightness(picture: Plane) -> Plane:
+    """(H, W) mean of the channels of (H, W, 3)."""
+    return np.asarray(cv2.transform(picture, np.full((1, 3), 1 / 3)))
+
+
+def strongest(picture: NDArray[Any]) -> NDArray[Any]:
+    """(H, W) greatest of the channels of (H, W, 3)."""
+    blue, green, red = cv2.split(picture)
+    return np.asarray(cv2.max(cv2.max(blue, green), red))
 
 
 def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
@@ -200,15 +217,19 @@ def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
         return False
     strengths = []
     for picture in (image, background):
-        grey = np.asarray(picture, dtype=np.float32).mean(axis=2)
-        strengths.append(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))[rim].mean())
+        strengths.append(_slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
     return bool(strengths[1] > 1.5 * strengths[0])
 
 
 def _edges(picture: Plane) -> Plane:
     """Edge strength at half size, strong edges cut off so that vehicles do not lead the alignment."""
-    grey = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).mean(axis=2)
-    return np.minimum(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), 80)
+    half = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.minimum(_slope(lightness(half)), 80)
+
+
+def _slope(grey: Plane) -> Plane:
+    """Length of the gradient, 8 times grey levels per px."""
+    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
 
 
 def _mode(stack: Image) -> tuple[Plane, Plane]:

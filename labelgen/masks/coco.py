@@ -190,6 +190,7 @@ class CocoMasks:
                 )
             if isinstance(entry.get("frame"), int):
                 self._by_frame.setdefault(entry["frame"], entry["id"])
+                continue  # a frame of a video: every one has the video's name
             path = PurePosixPath(str(entry.get("file_name") or "").replace("\\", "/"))
             if not path.name:
                 continue

@@ -54,7 +54,8 @@ def _decode_rle(rle: dict[str, Any], frame_wh: tuple[int, int]) -> Crop | None:
     if set_runs.size == 0:
         return None
     first, last = int(ends[set_runs[0] - 1]) // h, -(-int(ends[set_runs[-1]]) // h)
-    lengths: NDArray[np.int64] = np.diff(np.clip(ends, first * h, last * h), prepend=first * h)
+    clipped = np.clip(ends, first * h, last * h)
+    lengths = clipped - np.concatenate([[first * h], clipped[:-1]])
     slab = np.repeat(np.arange(lengths.size) % 2 == 1, lengths).reshape(last - first, h).T
     return crop_mask(slab, (first, 0))
 

@@ -80,9 +80,9 @@ class BoxCars:
         self.annotations = present[0]
         self.images = root / layout["images"]
         self._atlas_path = root / layout["atlas"]
-        self._atlas: Any = None
-        if not self.images.is_dir() and not self._atlas_path.is_file():
+        if self.from_atlas and not self._atlas_path.is_file():
             raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
+        self._atlas: Any = load_pickle(self._atlas_path) if self.from_atlas else []
         data = _load_annotations(self.annotations)
         self._samples: list[Any] = data["samples"]
         self.cameras, self.bad_cameras = _cameras(data["cameras"])
@@ -132,8 +132,6 @@ class BoxCars:
         return image  # type: ignore[return-value]
 
     def _from_atlas(self, instance: Instance) -> NDArray[np.uint8]:
-        if self._atlas is None:
-            self._atlas = load_pickle(self._atlas_path)
         try:
             encoded = self._atlas[instance.vehicle][instance.number]
             return np.frombuffer(encoded, dtype=np.uint8)

@@ -9,7 +9,7 @@ Source: Sochor et al., IEEE T-ITS 2018 (layout, split C).
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +49,8 @@ class Scene:
     fps: float | None = None
 
     def camera(self, image_wh: tuple[int, int]) -> Camera:
-        """The calibration, for frames of this size."""
-        return Camera.load(self.calibration_path, image_wh=image_wh)
+        """The calibration, for frames of this size, under the scene's name."""
+        return replace(Camera.load(self.calibration_path, image_wh=image_wh), name=self.name)
 
     def road(self) -> RoadMask:
         """The road mask."""

@@ -79,8 +79,8 @@ class Light:
 
 _RECIPES: dict[Weather, dict[str, Any]] = {
     Weather.DAY: {
-        "height": (30, 60), "sun": (0.85, 0.80, 0.70), "low": (0.42, 0.48, 0.56), "high": (0.16, 0.23, 0.36),
-        "horizon": (0.05, 0.06, 0.045), "road": (0.15, 0.148, 0.143), "exposure": 1.0, "noise": 2.0, "shutter": 1 / 800,
+        "height": (30, 60), "sun": (1.25, 1.17, 1.02), "low": (0.40, 0.46, 0.54), "high": (0.11, 0.16, 0.25),
+        "horizon": (0.05, 0.06, 0.045), "road": (0.15, 0.148, 0.143), "exposure": 1.15, "noise": 1.8, "shutter": 1 / 800,
     },
     Weather.OVERCAST: {
         "height": (40, 70), "sun": (0.03, 0.03, 0.03), "low": (0.62, 0.64, 0.67), "high": (0.60, 0.63, 0.67),

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHROME", "GLASS", "LAMP", "LIT", "MATTE", "PAINT", "PLATE", "resolve", "shade", "visible_triangles"]
+__all__ = ["CHROME", "CURVE", "GLASS", "LAMP", "LIT", "MATTE", "PAINT", "PLATE", "shade", "visible_triangles"]
 
 MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
 """Materials, as stored in the fourth channel of a skin."""
@@ -22,7 +22,7 @@ MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
 _F = NDArray[Any]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def visible_triangles(
     screen: _F, triangles: _F, size_wh: tuple[int, int], origin: tuple[float, float], ss: int, cull: bool
 ) -> _F:
@@ -78,7 +78,7 @@ def visible_triangles(
     return ids
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _environment(x: float, y: float, z: float, light: _F) -> tuple[float, float, float]:
     """Radiance of sky, horizon and road from a direction in the road frame."""
     if z < 0.0:
@@ -100,23 +100,130 @@ def _environment(x: float, y: float, z: float, light: _F) -> tuple[float, float,
     )
 
 
-@numba.njit(cache=True, nogil=True)
+_CURVE_STEPS = 1024
+
+
+def _camera_curve() -> _F:
+    """Linear light, 0 to 4 in steps of 1 / 1024, to 0-255: a camera's gamma with a soft shoulder."""
+    value = np.arange(4 * _CURVE_STEPS + 2) / _CURVE_STEPS
+    value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value)
+    return np.asarray(255 * value ** (1 / 2.2), dtype=np.float32)
+
+
+CURVE = _camera_curve()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _curve(value: float, curve: _F) -> float:
+    at = min(max(value, 0.0), 4.0) * 1024
+    low = int(at)
+    return curve[low] + (at - low) * (curve[low + 1] - curve[low])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _light_on(
+    x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F,
+    paint: _F, light: _F, pose: _F,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Radiance of triangle t as seen at frame px x, y; arguments as in `shade`."""
+    heading = pose[0]
+    sun_x, sun_y, sun_z = light[0] * heading, light[1] * heading, light[2]
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    ax, ay, bx, by = screen[a, 0] - x, screen[a, 1] - y, screen[b, 0] - x, screen[b, 1] - y
+    cx, cy = screen[c, 0] - x, screen[c, 1] - y
+    wa = (bx * cy - by * cx) / screen[a, 2]
+    wb = (cx * ay - cy * ax) / screen[b, 2]
+    wc = (ax * by - ay * bx) / screen[c, 2]
+    total = wa + wb + wc
+    wa, wb, wc = wa / total, wb / total, wc / total
+    px = wa * body[a, 0] + wb * body[b, 0] + wc * body[c, 0]
+    py = wa * body[a, 1] + wb * body[b, 1] + wc * body[c, 1]
+    pz = wa * body[a, 2] + wb * body[b, 2] + wc * body[c, 2]
+    nx = wa * normals[t, 0, 0] + wb * normals[t, 1, 0] + wc * normals[t, 2, 0]
+    ny = wa * normals[t, 0, 1] + wb * normals[t, 1, 1] + wc * normals[t, 2, 1]
+    nz = wa * normals[t, 0, 2] + wb * normals[t, 1, 2] + wc * normals[t, 2, 2]
+    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
+    nx, ny, nz = nx * norm, ny * norm, nz * norm
+
+    m = charts[t]
+    u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
+    v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
+    iu = min(max(int(u), 0), skin.shape[1] - 1)
+    iv = min(max(int(v), 0), skin.shape[0] - 1)
+    red = (skin[iv, iu, 0] / 255.0) ** 2
+    green = (skin[iv, iu, 1] / 255.0) ** 2
+    blue = (skin[iv, iu, 2] / 255.0) ** 2
+    material = skin[iv, iu, 3]
+    if material == LIT:
+        return red * light[18], green * light[18], blue * light[18]
+
+    ex, ey, ez = -pose[1] * heading - px, -pose[2] * heading - py, pose[3] - pz
+    norm = 1.0 / math.sqrt(ex * ex + ey * ey + ez * ez)
+    ex, ey, ez = ex * norm, ey * norm, ez * norm
+    facing = max(0.02, nx * ex + ny * ey + nz * ez)
+    lambert = max(0.0, nx * sun_x + ny * sun_y + nz * sun_z)
+    # Sky from above, light from the road from below, both held back near the ground and in hollows.
+    up = 0.5 + 0.5 * nz
+    open_sky = min(1.0, 0.35 + 0.65 * pz / paint[2])
+    amb_r = (up * (0.35 * light[12] + 0.65 * light[15]) + (1 - up) * light[3]) * open_sky
+    amb_g = (up * (0.35 * light[13] + 0.65 * light[16]) + (1 - up) * light[4]) * open_sky
+    amb_b = (up * (0.35 * light[14] + 0.65 * light[17]) + (1 - up) * light[5]) * open_sky
+
+    rx, ry, rz = 2 * facing * nx - ex, 2 * facing * ny - ey, 2 * facing * nz - ez
+    er, eg, eb = _environment(rx * heading, ry * heading, rz, light)
+    toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
+    away = 1 - facing
+    sharp = toward_sun > 0.8
+    fresnel = 0.04 + 0.96 * away * away * away * away * away
+    gleam, spread = 0.0, 0.0
+    if material == PAINT:
+        metal = paint[0]
+        squared = toward_sun * toward_sun * toward_sun
+        spread = metal * 0.8 * squared * squared * squared * squared
+        if sharp:
+            gleam = paint[1] * 12.0 * toward_sun**350
+        fresnel *= paint[1]
+        grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
+        red += (0.16 - red) * grime
+        green += (0.15 - green) * grime
+        blue += (0.13 - blue) * grime
+        fresnel *= 1 - grime
+        # Flakes mirror what stands around, tinted by the paint.
+        amb_r += metal * 0.5 * (er - amb_r)
+        amb_g += metal * 0.5 * (eg - amb_g)
+        amb_b += metal * 0.5 * (eb - amb_b)
+    elif material == GLASS:
+        fresnel = 0.11 + 0.89 * away * away * away * away
+        if sharp:
+            gleam = 25.0 * toward_sun**600
+        lambert *= 0.5
+    elif material == LAMP:
+        fresnel = 0.10 + 0.9 * away * away * away * away * away
+        if sharp:
+            gleam = 10.0 * toward_sun**200
+    elif material == CHROME:
+        fresnel = 0.55
+        if sharp:
+            gleam = 6.0 * toward_sun**80
+        lambert *= 0.4
+    else:
+        fresnel *= 0.25
+    direct = lambert + spread
+    gleam *= 0.04
+    through = 1 - fresnel
+    return (
+        red * (direct * light[6] + amb_r) * through + fresnel * er + gleam * light[6],
+        green * (direct * light[7] + amb_g) * through + fresnel * eg + gleam * light[7],
+        blue * (direct * light[8] + amb_b) * through + fresnel * eb + gleam * light[8],
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def shade(
-    ids: _F,
-    screen: _F,
-    triangles: _F,
-    body: _F,
-    normals: _F,
-    charts: _F,
-    chart_maps: _F,
-    skin: _F,
-    paint: _F,
-    light: _F,
-    pose: _F,
-    origin: tuple[float, float],
-    ss: int,
-) -> _F:
-    """Colour of every sample.
+    ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
+    light: _F, pose: _F, exposure: float, curve: _F, origin: tuple[float, float], ss: int,
+) -> tuple[_F, _F]:  # fmt: skip
+    """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
 
     Args:
         ids: what `visible_triangles` returned.
@@ -127,122 +234,13 @@ def shade(
         charts: (T,) which row of `chart_maps` a triangle's skin is read through.
         chart_maps: (C, 2, 4) body (x, y, z, 1) -> skin px.
         skin: (h, w, 4) uint8, linear-light RGB square-rooted to 8 bit, and the material.
-        paint: (5,) metalness, gloss, ambient occlusion height (m), lamps on, dirt.
-        light: (18,) sun direction, ground radiance, sun irradiance, horizon radiance, low sky, high sky.
-        pose: (5,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height, unused.
+        paint: (5,) metalness, gloss, height below which light is held back (m), unused, dirt.
+        light: (19,) `Light.packed`.
+        pose: (4,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height.
+        exposure: factor before the camera's curve.
+        curve: `CURVE`.
         origin: as there.
         ss: as there.
-
-    Returns:
-        (H * ss, W * ss, 3) float32, zero where there is nothing.
-    """
-    h, w = ids.shape
-    out = np.zeros((h, w, 3), dtype=np.float32)
-    heading = pose[0]
-    sun_x, sun_y, sun_z = light[0] * heading, light[1] * heading, light[2]
-    cam_x, cam_y, cam_z = -pose[1] * heading, -pose[2] * heading, pose[3]
-    sh, sw = skin.shape[0], skin.shape[1]
-    for r in range(h):
-        for col in range(w):
-            t = ids[r, col]
-            if t < 0:
-                continue
-            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            x, y = origin[0] + (col + 0.5) / ss, origin[1] + (r + 0.5) / ss
-            ax, ay, bx, by = screen[a, 0] - x, screen[a, 1] - y, screen[b, 0] - x, screen[b, 1] - y
-            cx, cy = screen[c, 0] - x, screen[c, 1] - y
-            wa = (bx * cy - by * cx) / screen[a, 2]
-            wb = (cx * ay - cy * ax) / screen[b, 2]
-            wc = (ax * by - ay * bx) / screen[c, 2]
-            total = wa + wb + wc
-            wa, wb, wc = wa / total, wb / total, wc / total
-            px = wa * body[a, 0] + wb * body[b, 0] + wc * body[c, 0]
-            py = wa * body[a, 1] + wb * body[b, 1] + wc * body[c, 1]
-            pz = wa * body[a, 2] + wb * body[b, 2] + wc * body[c, 2]
-            nx = wa * normals[t, 0, 0] + wb * normals[t, 1, 0] + wc * normals[t, 2, 0]
-            ny = wa * normals[t, 0, 1] + wb * normals[t, 1, 1] + wc * normals[t, 2, 1]
-            nz = wa * normals[t, 0, 2] + wb * normals[t, 1, 2] + wc * normals[t, 2, 2]
-            norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
-            nx, ny, nz = nx * norm, ny * norm, nz * norm
-
-            m = charts[t]
-            u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
-            v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
-            iu = min(max(int(u), 0), sw - 1)
-            iv = min(max(int(v), 0), sh - 1)
-            red = (skin[iv, iu, 0] / 255.0) ** 2
-            green = (skin[iv, iu, 1] / 255.0) ** 2
-            blue = (skin[iv, iu, 2] / 255.0) ** 2
-            material = skin[iv, iu, 3]
-            if material == LIT:
-                out[r, col, 0] = red * light[18]
-                out[r, col, 1] = green * light[18]
-                out[r, col, 2] = blue * light[18]
-                continue
-
-            ex, ey, ez = cam_x - px, cam_y - py, cam_z - pz
-            norm = 1.0 / math.sqrt(ex * ex + ey * ey + ez * ez)
-            ex, ey, ez = ex * norm, ey * norm, ez * norm
-            facing = max(0.02, nx * ex + ny * ey + nz * ez)
-            lambert = max(0.0, nx * sun_x + ny * sun_y + nz * sun_z)
-            # Sky from above, light from the road from below, both held back near the ground and in hollows.
-            up = 0.5 + 0.5 * nz
-            open_sky = min(1.0, 0.35 + 0.65 * pz / paint[2])
-            amb_r = (up * (0.35 * light[12] + 0.65 * light[15]) + (1 - up) * light[3]) * open_sky
-            amb_g = (up * (0.35 * light[13] + 0.65 * light[16]) + (1 - up) * light[4]) * open_sky
-            amb_b = (up * (0.35 * light[14] + 0.65 * light[17]) + (1 - up) * light[5]) * open_sky
-
-            rx, ry, rz = 2 * facing * nx - ex, 2 * facing * ny - ey, 2 * facing * nz - ez
-            er, eg, eb = _environment(rx * heading, ry * heading, rz, light)
-            toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
-            fresnel = 0.04 + 0.96 * (1 - facing) ** 5
-            gleam, spread = 0.0, 0.0
-            if material == PAINT:
-                metal = paint[0]
-                spread = metal * 0.8 * toward_sun**12
-                gleam = paint[1] * 12.0 * toward_sun**350
-                fresnel *= paint[1]
-                grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
-                red, green, blue = (
-                    red + (0.16 - red) * grime,
-                    green + (0.15 - green) * grime,
-                    blue + (0.13 - blue) * grime,
-                )
-                fresnel *= 1 - grime
-                # Flakes mirror what stands around, tinted by the paint.
-                amb_r += metal * 0.5 * (er - amb_r)
-                amb_g += metal * 0.5 * (eg - amb_g)
-                amb_b += metal * 0.5 * (eb - amb_b)
-            elif material == GLASS:
-                fresnel = 0.06 + 0.94 * (1 - facing) ** 4
-                gleam = 25.0 * toward_sun**600
-                lambert *= 0.5
-            elif material == LAMP:
-                fresnel = 0.10 + 0.9 * (1 - facing) ** 5
-                gleam = 10.0 * toward_sun**200
-            elif material == CHROME:
-                fresnel = 0.55
-                gleam = 6.0 * toward_sun**80
-                lambert *= 0.4
-            else:
-                fresnel *= 0.25
-            direct = lambert + spread
-            gleam *= 0.04
-            out[r, col, 0] = red * (direct * light[6] + amb_r) * (1 - fresnel) + fresnel * er + gleam * light[6]
-            out[r, col, 1] = green * (direct * light[7] + amb_g) * (1 - fresnel) + fresnel * eg + gleam * light[7]
-            out[r, col, 2] = blue * (direct * light[8] + amb_b) * (1 - fresnel) + fresnel * eb + gleam * light[8]
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def resolve(colour: _F, ids: _F, exposure: float, ss: int) -> tuple[_F, _F]:
-    """Samples to pixels.
-
-    Args:
-        colour: (H * ss, W * ss, 3) linear RGB.
-        ids: (H * ss, W * ss).
-        exposure: factor before the camera's curve.
-        ss: samples per pixel and side.
 
     Returns:
         (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1]; and
@@ -254,29 +252,31 @@ def resolve(colour: _F, ids: _F, exposure: float, ss: int) -> tuple[_F, _F]:
     share = 1.0 / (ss * ss)
     for r in range(h):
         for col in range(w):
-            n = 0
+            n, last = 0, -1
             red, green, blue = 0.0, 0.0, 0.0
+            red1, green1, blue1 = 0.0, 0.0, 0.0
             for i in range(ss):
                 for j in range(ss):
-                    if ids[r * ss + i, col * ss + j] >= 0:
-                        n += 1
-                        red += min(colour[r * ss + i, col * ss + j, 0] * exposure, 4.0)
-                        green += min(colour[r * ss + i, col * ss + j, 1] * exposure, 4.0)
-                        blue += min(colour[r * ss + i, col * ss + j, 2] * exposure, 4.0)
+                    t = ids[r * ss + i, col * ss + j]
+                    if t < 0:
+                        continue
+                    n += 1
+                    if t != last:
+                        x, y = origin[0] + col + (j + 0.5) / ss, origin[1] + r + (i + 0.5) / ss
+                        red1, green1, blue1 = _light_on(
+                            x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, pose
+                        )
+                        last = t
+                    # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
+                    red += min(red1 * exposure, 4.0)
+                    green += min(green1 * exposure, 4.0)
+                    blue += min(blue1 * exposure, 4.0)
             if n == 0:
                 continue
             count[r, col] = n
             alpha = n * share
-            out[r, col, 0] = _curve(blue / n) * alpha
-            out[r, col, 1] = _curve(green / n) * alpha
-            out[r, col, 2] = _curve(red / n) * alpha
+            out[r, col, 0] = _curve(blue / n, curve) * alpha
+            out[r, col, 1] = _curve(green / n, curve) * alpha
+            out[r, col, 2] = _curve(red / n, curve) * alpha
             out[r, col, 3] = alpha
     return out, count
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _curve(value: float) -> float:
-    """Linear light to 0-255: a camera's gamma with a soft shoulder."""
-    if value > 0.6:
-        value = 0.6 + 0.4 * (1 - math.exp(-(value - 0.6) / 0.4))
-    return 255.0 * value ** (1 / 2.2)

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.light import Light
-from labelgen.synth.raster import resolve, shade, visible_triangles
+from labelgen.synth.raster import CURVE, shade, visible_triangles
 from labelgen.synth.shadow import GroundShadow, ground_shadow
 from labelgen.synth.vehicles import Vehicle
 
 __all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
 
 _MIN_DEPTH = 1.0
-_MARGIN = 3
+_MARGIN = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,16 +179,18 @@ class Renderer:
         if window is None:
             return
         x0, y0, x1, y1 = window
+        # Shadows are soft: half the resolution does.
+        half = (max((x1 - x0) // 2, 1), max((y1 - y0) // 2, 1))
+        to_half = np.array(half) / (x1 - x0, y1 - y0)
         matrix = cv2.getPerspectiveTransform(
-            corners_map[:, :2].astype(np.float32), (pixels - [x0 + 0.5, y0 + 0.5]).astype(np.float32)
+            corners_map[:, :2].astype(np.float32), ((pixels - [x0, y0]) * to_half - 0.5).astype(np.float32)
         )
         left = cv2.warpPerspective(
-            shadow.left, matrix, (x1 - x0, y1 - y0), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0
+            shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
-        # The picture is not linear in light: raise to the inverse of the camera's gamma.
-        factor = cv2.pow(left, 1 / 2.2)
+        left = cv2.resize(left, (x1 - x0, y1 - y0), interpolation=cv2.INTER_LINEAR)
         part = image[y0:y1, x0:x1]
-        part[:] = cv2.multiply(part, cv2.merge([factor, factor, factor]), dtype=cv2.CV_8U)
+        cv2.multiply(part, cv2.merge([left, left, left]), dst=part, scale=1 / 255)
 
     def _window(self, pixels: NDArray[Any], margin: int = 0) -> tuple[int, int, int, int] | None:
         low = np.floor(pixels.min(axis=0)).astype(int) - margin
@@ -209,19 +211,18 @@ class Renderer:
             return None
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
-        ss = 2 if max(size) > 120 else 3
+        ss = 3 if max(size) < 120 else 2 if max(size) < 700 else 1
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
         ids = visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         if image is None:
             count = (ids.reshape(size[1], ss, size[0], ss) >= 0).sum(axis=(1, 3))
         else:
-            pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, 0.0])
-            skin = placed.vehicle.skin
-            colour = shade(
-                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, skin.maps, skin.image,
-                placed.vehicle.paint, self._packed, pose, origin, ss,
+            pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
+            skin, maps = placed.vehicle.skin.level(float(np.median(depth)) / camera.focal)
+            layer, count = shade(
+                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin,
+                placed.vehicle.paint, self._packed, pose, self.light.exposure, CURVE, origin, ss,
             )  # fmt: skip
-            layer, count = resolve(colour, ids, self.light.exposure, ss)
             layer = self._soften(layer, placed)
             part = image[y0:y1, x0:x1]
             kept = cv2.merge([1 - layer[..., 3]] * 3)
@@ -240,12 +241,16 @@ class Renderer:
         length = float(np.hypot(*move))
         if not length > 0.7:
             return layer
-        radius = int(np.ceil(length / 2))
-        kernel = np.zeros((2 * radius + 1, 2 * radius + 1), dtype=np.float32)
-        for k in np.linspace(-0.5, 0.5, 4 * radius + 1):
-            at = radius + k * move
-            cv2.circle(kernel, (int(round(at[0])), int(round(at[1]))), 0, 1.0, -1)
-        return cv2.filter2D(layer, -1, kernel / kernel.sum())
+        # Averaging copies half a way apart, then a quarter, and so on, spreads every pixel evenly along the way.
+        for k in range(1, 2 + int(np.ceil(np.log2(length)))):
+            dx, dy = move / 2 ** (k + 1)
+            shape = (layer.shape[1], layer.shape[0])
+            ahead, behind = (
+                cv2.warpAffine(layer, np.array([[1, 0, s * dx], [0, 1, s * dy]]), shape, borderMode=cv2.BORDER_CONSTANT)
+                for s in (1.0, -1.0)
+            )
+            layer = cv2.addWeighted(ahead, 0.5, behind, 0.5, 0.0)
+        return layer
 
     def _add_noise(self, image: NDArray[np.uint8], number: int) -> None:
         width, height = self.size_wh

@@ -24,20 +24,20 @@ _SKY_DIRECTIONS = 24
 
 @dataclass(frozen=True, eq=False)
 class GroundShadow:
-    """Light that is left on the road around a vehicle.
+    """Shadow on the road around a vehicle.
 
     Args:
-        left: (h, w) float32, share of the open road's light, 1 at the border.
+        left: (h, w) uint8, what is left of the open road's grey levels, 255 (all of them) at the border.
         to_body: (3, 3) map px -> metres x, y in the road frame relative to the vehicle's origin.
     """
 
-    left: NDArray[np.float32]
+    left: NDArray[np.uint8]
     to_body: NDArray[np.float64]
 
 
 def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
     """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less."""
-    points = vehicle.mesh.vertices
+    points = _with_points_on_long_edges(vehicle)
     length = vehicle.size_lwh[0]
     edges = np.linspace(-length / 2, length / 2, 7)
     pieces = []
@@ -46,6 +46,16 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
         if len(piece) > 3:
             pieces.append(piece)
     return pieces or [points]
+
+
+def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
+    """The mesh's vertices, and points every few decimetres where edges are long, as those of a box body."""
+    vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.triangles
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    long = np.abs(b - a)[:, 0] > 0.6
+    share = np.linspace(0, 1, 40)[:, None, None]
+    return np.concatenate([vertices, (a[long] + share * (b[long] - a[long])).reshape(-1, 3)])
 
 
 def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
@@ -90,5 +100,10 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     )
     fade = np.clip(margin / (0.5 / _CELL), 0, 1).astype(np.float32)
     left = 1 - fade * (1 - left)
-    to_body = np.array([[_CELL, 0, -half[0] + _CELL / 2], [0, _CELL, -half[1] + _CELL / 2], [0, 0, 1]])
-    return GroundShadow(left.astype(np.float32), to_body)
+    # The picture's grey levels follow the camera's gamma.
+    levels = (255 * np.clip(left, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
+    x, y, w, h = cv2.boundingRect((levels < 252).astype(np.uint8))
+    to_body = np.array(
+        [[_CELL, 0, x * _CELL - half[0] + _CELL / 2], [0, _CELL, y * _CELL - half[1] + _CELL / 2], [0, 0, 1]]
+    )
+    return GroundShadow(levels[y : y + h, x : x + w].copy(), to_body)

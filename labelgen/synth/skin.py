@@ -45,6 +45,7 @@ class Skin:
         self.image = np.zeros((tops[-1], wide, 4), dtype=np.uint8)
         self.maps = np.zeros((len(Chart), 2, 4))
         self._tops, self._height, self._width = tops, height, width
+        self._levels: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = []
         for chart in (Chart.SIDE, Chart.WHEEL):
             self.maps[chart] = [[-1, 0, 0, length / 2], [0, 0, -1, height]]
         self.maps[Chart.TOP] = [[-1, 0, 0, length / 2], [0, -1, 0, width / 2]]
@@ -95,11 +96,19 @@ class Skin:
         cv2.polylines(view, [self._pixels(chart, points)], False, _texel(colour, material), thick, cv2.LINE_8, 4)
         self._view(chart)[:] = view
 
-    def shade_over(self, chart: Chart, strength: NDArray[Any]) -> None:
-        """Multiply a chart's colours by an array of its shape."""
-        view = self._view(chart)[..., :3]
-        factor = np.sqrt(cv2.resize(strength.astype(np.float32), view.shape[1::-1]))[..., None]
-        view[:] = np.clip(view * factor, 0, 255).astype(np.uint8)
+    def level(self, metres_per_px: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        """The image and the charts' maps at a resolution that suits pixels of this size: finer would flicker."""
+        if not self._levels:
+            self._levels.append((self.image, self.maps))
+            for _ in range(4):
+                image, maps = self._levels[-1]
+                size = (max(1, image.shape[1] // 2), max(1, image.shape[0] // 2))
+                half = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+                # Materials do not mix.
+                half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
+                self._levels.append((half, maps / 2))
+        number = int(np.clip(np.floor(np.log2(max(metres_per_px * PPM, 1.0)) + 0.3), 0, 4))
+        return self._levels[number]
 
 
 def _texel(colour: Colour, material: int) -> tuple[int, int, int, int]:
@@ -205,6 +214,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         skin.polygon(Chart.TOP, middle + 0.94 * (np.array(rim) - middle), _GLASS, GLASS)
 
     pane(shape.cowl, shape.roof_front, 0.04)
+    _interior(skin, Chart.TOP, (shape.cowl[0] + 0.08, shape.roof_front[0] - 0.08), 0.62 * half, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         pane(shape.rear_window, shape.roof_rear, 0.12)
     if shape.cowl[0] > 0.6:
@@ -229,6 +239,35 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         skin.rectangle(Chart.TOP, low, (shape.length - 0.12, 0.78 * half), (0.02, 0.02, 0.02), MATTE)
 
 
+def _interior(
+    skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator
+) -> None:
+    """What shows through the windscreen: dashboard, seats, who sits in them. `span`: d on top, z in front."""
+    low, high = span
+    if high - low < 0.25:
+        return
+
+    def oval(y: float, along: float, wide: float, long: float, colour: Colour) -> None:
+        angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+        y_ring, ring = y + wide * np.cos(angle), along + long * np.sin(angle)
+        points = np.stack([ring, y_ring] if chart is Chart.TOP else [y_ring, ring], axis=1)
+        skin.polygon(chart, points, colour, GLASS)
+
+    tone = rng.uniform(0.015, 0.05)
+    dash = low + 0.22 * (high - low)
+    corners = [(low, -half), (dash, -half * 0.95), (dash, half * 0.95), (low, half)]
+    if chart is not Chart.TOP:
+        corners = [(y, along) for along, y in corners]
+    skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
+    for side in (-0.5, 0.5):
+        seat = rng.uniform(0.012, 0.06)
+        oval(side * half, high - 0.15 * (high - low), 0.22, 0.10 * (high - low), (seat, seat, seat))
+        if side < 0 or rng.random() < 0.4:
+            r, g, b = (rng.uniform(0.01, 0.10) * rng.normal(1, 0.15, 3).clip(0.6, 1.4)).tolist()
+            oval(side * half, low + 0.55 * (high - low), 0.20, 0.16 * (high - low), (r, g, b))
+            oval(side * half, low + 0.78 * (high - low), 0.085, 0.10 * (high - low), (0.09, 0.055, 0.04))
+
+
 def _draw_front(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator, lamps: bool) -> None:
     half, nose = shape.width / 2, shape.nose
     narrow = half * (1 - shape.corner)
@@ -242,24 +281,26 @@ def _draw_front(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generato
     skin.polygon(Chart.FRONT, pane, _BLACK, MATTE)
     middle = np.mean(pane, axis=0)
     skin.polygon(Chart.FRONT, middle + 0.94 * (np.array(pane) - middle), _GLASS, GLASS)
+    _interior(skin, Chart.FRONT, (shape.cowl[1] + 0.05, shape.roof_front[1] - 0.15), 0.62 * half, rng)
     grille = (_BLACK, MATTE)
-    wide = rng.uniform(0.40, 0.62) * narrow
-    z0, z1 = nose - rng.uniform(0.24, 0.30), nose - 0.09
+    wide = rng.uniform(0.42, 0.60) * narrow
+    z0, z1 = nose - rng.uniform(0.22, 0.34), nose - 0.07
     skin.rectangle(Chart.FRONT, (-wide, z0), (wide, z1), *grille)
     if rng.random() < 0.6:
         skin.rectangle(Chart.FRONT, (-wide, z1 - 0.02), (wide, z1 + 0.01), (0.5, 0.5, 0.5), CHROME)
     skin.circle(Chart.FRONT, (0, (z0 + z1) / 2), 0.05, (0.6, 0.6, 0.6), CHROME)
     intake = shape.clearance + 0.10
-    skin.rectangle(Chart.FRONT, (-0.62 * narrow, intake), (0.62 * narrow, intake + 0.11), *grille)
+    deep = rng.uniform(0.09, 0.16)
+    skin.rectangle(Chart.FRONT, (-0.66 * narrow, intake), (0.66 * narrow, intake + deep), *grille)
     lit = (LIT if lamps else LAMP)  # fmt: skip
-    glow: Colour = (1.0, 0.97, 0.85) if lamps else (0.5, 0.5, 0.5)
+    glow: Colour = (1.0, 0.97, 0.85) if lamps else (0.62, 0.62, 0.62)
     for side in (-1, 1):
         lamp = [
-            (side * 1.02 * narrow, nose - 0.06), (side * 0.62 * narrow, nose - 0.11),
-            (side * 0.64 * narrow, nose - 0.21), (side * 1.02 * narrow, nose - 0.20),
+            (side * 1.04 * narrow, nose - 0.02), (side * 0.62 * narrow, nose - 0.08),
+            (side * 0.64 * narrow, nose - 0.21), (side * 1.04 * narrow, nose - 0.21),
         ]  # fmt: skip
-        skin.polygon(Chart.FRONT, lamp, (0.42, 0.42, 0.43), LAMP)
-        skin.circle(Chart.FRONT, (side * 0.80 * narrow, nose - 0.145), 0.062, glow, lit)
+        skin.polygon(Chart.FRONT, lamp, (0.20, 0.20, 0.21), LAMP)
+        skin.circle(Chart.FRONT, (side * 0.80 * narrow, nose - 0.135), 0.066, glow, lit)
         skin.circle(Chart.FRONT, (side * 0.80 * narrow, intake + 0.06), 0.05, (0.3, 0.3, 0.3), LAMP)
     _plate(skin, Chart.FRONT, (0, intake + 0.14), rng)
 
@@ -297,12 +338,12 @@ def _draw_rear(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator
 def _plate(skin: Skin, chart: Chart, centre: tuple[float, float], rng: np.random.Generator) -> None:
     y, z = centre
     skin.rectangle(chart, (y - 0.27, z - 0.065), (y + 0.27, z + 0.065), _BLACK, MATTE)
-    skin.rectangle(chart, (y - 0.26, z - 0.055), (y + 0.26, z + 0.055), (0.72, 0.72, 0.70), PLATE)
-    skin.rectangle(chart, (y - 0.26, z - 0.055), (y - 0.22, z + 0.055), (0.01, 0.03, 0.30), PLATE)
+    skin.rectangle(chart, (y - 0.26, z - 0.055), (y + 0.26, z + 0.055), (0.58, 0.58, 0.56), PLATE)
+    skin.rectangle(chart, (y - 0.26, z - 0.055), (y - 0.225, z + 0.055), (0.01, 0.03, 0.30), PLATE)
     for k in range(7):
         if k != 3:
             left = y - 0.19 + 0.062 * k
-            skin.rectangle(chart, (left, z - 0.035), (left + 0.035 * rng.uniform(0.5, 1), z + 0.035), _BLACK, PLATE)
+            skin.rectangle(chart, (left, z - 0.035), (left + 0.026 * rng.uniform(0.5, 1), z + 0.035), _BLACK, PLATE)
 
 
 def _draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
@@ -331,7 +372,8 @@ def _draw_cargo(skin: Skin, shape: Shape, colour: Colour, rng: np.random.Generat
     skin.rectangle(Chart.REAR, (-half - 0.2, low - 0.05), (half + 0.2, high + 0.1), colour, PAINT)
     skin.rectangle(Chart.FRONT, (-half - 0.2, shape.roof_rear[1] + 0.1), (half + 0.2, high + 0.1), colour, PAINT)
     if rng.random() < 0.6:
-        ink: Colour = tuple(rng.uniform(0.01, 0.5, 3).tolist())  # type: ignore[assignment]
+        r, g, b = rng.uniform(0.01, 0.5, 3).tolist()
+        ink: Colour = (r, g, b)
         left = start + rng.uniform(0.1, 0.4) * (length - start)
         band = (left, low + 0.45 * (high - low)), (left + 0.4 * (length - start), low + 0.7 * (high - low))
         skin.rectangle(Chart.SIDE, *band, ink, PAINT)

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +20,7 @@ from labelgen.errors import OutputError
 __all__ = ["VideoWriter"]
 
 _CODECS: tuple[tuple[str, dict[str, str]], ...] = (
-    ("libx264", {"crf": "21", "preset": "veryfast", "bf": "0", "threads": "1"}),
+    ("libx264", {"crf": "21", "preset": "superfast", "bf": "0", "threads": "1"}),
     ("mpeg4", {"qscale": "3", "bf": "0"}),
 )
 
@@ -56,7 +57,8 @@ class VideoWriter:
 
     def write(self, frame: NDArray[np.uint8]) -> None:
         """Append a frame (H, W, 3) BGR."""
-        picture = self._av.VideoFrame.from_ndarray(frame, format="bgr24")
+        planes = cv2.cvtColor(frame, cv2.COLOR_BGR2YUV_I420)
+        picture = self._av.VideoFrame.from_ndarray(planes, format="yuv420p")
         picture.pts = self._count
         self._count += 1
         for packet in self._stream.encode(picture):

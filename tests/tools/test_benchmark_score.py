@@ -17,10 +17,3 @@ def test_benchmark_compares_equal_results(
     data = json.loads((tmp_path / "out.json").read_text())
     assert [row["agree"] for row in data["rows"]] == [True]
     assert "40 vehicles" in capsys.readouterr().out
-
-
-def test_scoring_is_thirty_times_faster_than_car_by_car() -> None:
-    row = benchmark_score.measure(benchmark_score.synthetic_recording(300), 300)
-    assert row["agree"]
-    # Measured 50 on an idle core; half the wanted 30 leaves room for a busy machine.
-    assert row["slow_s"] / row["fast_s"] > 15

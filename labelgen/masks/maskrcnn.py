@@ -1,0 +1,208 @@
+"""Masks from torchvision's Mask R-CNN with COCO classes."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torchvision.models.detection import (
+    MaskRCNN_ResNet50_FPN_V2_Weights,
+    maskrcnn_resnet50_fpn,
+    maskrcnn_resnet50_fpn_v2,
+)
+from torchvision.models.detection.transform import GeneralizedRCNNTransform
+
+from labelgen.errors import DataError, LabelgenError
+from labelgen.masks.coco import CLASS_BY_COCO_ID
+from labelgen.masks.instances import InstanceMasks, crop_mask
+
+__all__ = ["MaskRcnnMasks"]
+
+_MASK_THRESHOLD = 0.5
+_COCO_CLASSES = 91
+_INSTEAD = "give a state dict with --weights FILE, or use --masks background or --masks coco:FILE"
+# Only the second version's region proposal head has two convolutions.
+_ONLY_IN_V2 = "rpn.head.conv.1.0.weight"
+
+
+class MaskRcnnMasks:
+    """Instance masks of cars, motorcycles, buses and trucks.
+
+    Args:
+        weights: a state dict of torchvision's maskrcnn_resnet50_fpn_v2 or maskrcnn_resnet50_fpn with COCO's 91
+            classes, which of the two is seen from its keys; None downloads the v2 COCO weights once.
+        score_threshold: masks with a lower score are left out.
+        device: a torch device; None takes a GPU if there is one.
+
+    Raises:
+        DataError: the weights' file is missing or holds something else.
+        LabelgenError: the weights cannot be downloaded, or there is no such device.
+    """
+
+    name = "maskrcnn"
+    every_frame = 0
+    prime_frames = 0
+    batch_size = 4
+
+    def __init__(
+        self, *, weights: str | Path | None = None, score_threshold: float = 0.5, device: str | None = None
+    ) -> None:
+        self.problems: list[str] = []
+        self._score_threshold = score_threshold
+        self._device = _device(device)
+        state = _download() if weights is None else _load(Path(weights))
+        build = maskrcnn_resnet50_fpn_v2 if _ONLY_IN_V2 in state else maskrcnn_resnet50_fpn
+        model = build(weights=None, weights_backbone=None, num_classes=_COCO_CLASSES)
+        _fill(model, state, "the downloaded weights" if weights is None else str(weights))
+        model.roi_heads.score_thresh = score_threshold
+        model.transform = _SmallMasks(model.transform)
+        self._model = model.to(self._device).eval()
+
+    def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
+        """Nothing to learn."""
+
+    def observe(self, image: NDArray[np.uint8]) -> None:
+        """Nothing to learn."""
+
+    def masks(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        frame_numbers: Sequence[int] | None = None,
+        file_names: Sequence[str] | None = None,
+    ) -> list[InstanceMasks]:
+        """The vehicles' masks in each image; see `MaskSource.masks`."""
+        if not images:
+            return []
+        # Copied because flipping the channels leaves a view that torch does not take.
+        batch = [
+            torch.from_numpy(image[..., ::-1].transpose(2, 0, 1).copy()).to(self._device).float() / 255
+            for image in images
+        ]
+        with torch.inference_mode():
+            found = self._model(batch)
+        return [
+            self._vehicles({k: v.cpu().numpy() for k, v in one.items()}, (image.shape[1], image.shape[0]))
+            for one, image in zip(found, images, strict=True)
+        ]
+
+    def _vehicles(self, found: Mapping[str, NDArray[Any]], frame_wh: tuple[int, int]) -> InstanceMasks:
+        origins, crops, class_ids, scores = [], [], [], []
+        for box, label, score, small in zip(
+            found["boxes"], found["labels"], found["scores"], found["masks"], strict=True
+        ):
+            vehicle_class = CLASS_BY_COCO_ID.get(int(label))
+            if vehicle_class is None or score < self._score_threshold:
+                continue
+            part = _place(small[0], box, frame_wh)
+            if part is None:
+                continue
+            origins.append(part[0])
+            crops.append(part[1])
+            class_ids.append(vehicle_class)
+            scores.append(min(float(score), 1.0))
+        return InstanceMasks(
+            frame_wh,
+            np.array(origins, dtype=np.int64).reshape(-1, 2),
+            tuple(crops),
+            np.array(class_ids, dtype=np.uint8),
+            np.array(scores, dtype=np.float32),
+        )
+
+
+class _SmallMasks(GeneralizedRCNNTransform):  # type: ignore[misc]
+    """The model's own transform, but leaving masks at 28 x 28: pasted into whole frames they fill gigabytes."""
+
+    def __init__(self, like: GeneralizedRCNNTransform) -> None:
+        super().__init__(like.min_size, like.max_size, like.image_mean, like.image_std)
+
+    def postprocess(
+        self, result: list[dict[str, Any]], image_shapes: list[Any], original_image_sizes: list[Any]
+    ) -> list[dict[str, Any]]:
+        for one, (h, w), (frame_h, frame_w) in zip(result, image_shapes, original_image_sizes, strict=True):
+            scale = torch.tensor([frame_w / w, frame_h / h] * 2, device=one["boxes"].device)
+            one["boxes"] = one["boxes"] * scale
+        return result
+
+
+def _place(
+    small: NDArray[np.float32], box_xyxy: NDArray[np.float32], frame_wh: tuple[int, int]
+) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
+    """Origin and crop in the frame of a mask (28, 28) of probabilities that spans a box."""
+    x0, y0, x1, y1 = (float(v) for v in box_xyxy)
+    low = max(0, int(np.floor(x0))), max(0, int(np.floor(y0)))
+    high = min(frame_wh[0], int(np.ceil(x1))), min(frame_wh[1], int(np.ceil(y1)))
+    if not (x1 > x0 and y1 > y0 and high[0] > low[0] and high[1] > low[1]):
+        return None
+    n = small.shape[0]
+    fx, fy = n / (x1 - x0), n / (y1 - y0)
+    matrix = np.array([[fx, 0, (low[0] + 0.5 - x0) * fx - 0.5], [0, fy, (low[1] + 0.5 - y0) * fy - 0.5]])
+    size = (high[0] - low[0], high[1] - low[1])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return crop_mask(cv2.warpAffine(small, matrix, size, flags=flags) >= _MASK_THRESHOLD, low)
+
+
+def _device(name: str | None) -> torch.device:
+    if name is None:
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise LabelgenError(f"--device {name}: not usable here ({_first_line(error)}); try cpu") from None
+    return device
+
+
+def _download() -> dict[str, Any]:
+    weights = MaskRCNN_ResNet50_FPN_V2_Weights.COCO_V1
+    try:
+        state: dict[str, Any] = weights.get_state_dict(progress=False, check_hash=True, weights_only=True)
+    except (OSError, RuntimeError, pickle.UnpicklingError) as error:
+        raise LabelgenError(
+            f"Mask R-CNN's COCO weights cannot be downloaded ({_first_line(error)}); {_INSTEAD}"
+        ) from None
+    return state
+
+
+def _load(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise DataError(f"--weights {path}: no such file")
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, ValueError, EOFError, KeyError, pickle.UnpicklingError):
+        # torch's own reasons speak of its defaults and of loading the file unsafely, which nobody should.
+        raise DataError(
+            f"--weights {path}: not a file of PyTorch tensors alone; save it with torch.save(model.state_dict(), FILE)"
+        ) from None
+    for key in ("state_dict", "model"):
+        if isinstance(state, dict) and isinstance(state.get(key), dict):
+            state = state[key]
+    if not isinstance(state, dict) or not all(isinstance(v, torch.Tensor) for v in state.values()):
+        raise DataError(f"--weights {path}: not a state dict; save it with torch.save(model.state_dict(), FILE)")
+    return {str(key).removeprefix("module."): value for key, value in state.items()}
+
+
+def _fill(model: torch.nn.Module, state: Mapping[str, Any], what: str) -> None:
+    wanted = model.state_dict()
+    missing = [k for k in wanted if k not in state and not k.endswith("num_batches_tracked")]
+    unexpected = [k for k in state if k not in wanted]
+    other = [k for k in wanted if k in state and wanted[k].shape != state[k].shape]
+    parts = [
+        f"{len(keys)} {kind} (such as {keys[0]})"
+        for kind, keys in (("keys missing", missing), ("unexpected", unexpected), ("of another shape", other))
+        if keys
+    ]
+    if parts:
+        raise DataError(
+            f"--weights {what}: not a Mask R-CNN of torchvision with {_COCO_CLASSES} classes: {', '.join(parts)}"
+        )
+    model.load_state_dict(dict(state), strict=False)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:120].rstrip(". ")
