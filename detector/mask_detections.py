@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
@@ -16,8 +15,8 @@ from labelgen.errors import RectificationError
 from labelgen.generate.mask_labels import LabelLimits, label_masks
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule
 from labelgen.labels import Labels
-from labelgen.masks import InstanceMasks, MaskSource
-from labelgen.sources.frames import Frame
+from labelgen.masks import InstanceMasks, MaskSource, masked_frames
+from labelgen.sources.frames import Frame, FrameSource, always
 
 __all__ = ["SPEED_LIMITS", "DetectionSource", "MaskDetections", "MaskPlacer"]
 
@@ -45,7 +44,7 @@ class DetectionSource(Protocol):
     @property
     def problems(self) -> list[str]: ...
 
-    def stream(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
+    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
         """Each frame with its detections, in order."""
         ...
 
@@ -154,17 +153,8 @@ class MaskDetections:
         """What the mask source had to skip so far."""
         return self._masks.problems
 
-    def stream(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
+    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
         """See `DetectionSource.stream`."""
-        frames = iter(frames)
-        stride = self._masks.every_frame
-        # A background model has to be asked in step with what it observes.
-        size = 1 if stride else self._masks.batch_size
-        while batch := list(islice(frames, size)):
-            if stride and batch[0].number % stride == 0:
-                self._masks.observe(batch[0].image)
-            found = self._masks.masks(
-                [frame.image for frame in batch], [frame.number for frame in batch], [frame.name for frame in batch]
-            )
-            for frame, masks in zip(batch, found, strict=True):
+        for frame, masks in masked_frames(frames, self._masks, always):
+            if masks is not None:
                 yield frame, self._placer.place(frame.number, frame.time_s, masks)

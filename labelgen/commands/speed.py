@@ -25,11 +25,12 @@ if TYPE_CHECKING:
     from detector.mask_detections import DetectionSource
     from detector.pipeline import Found, SpeedSummary
     from detector.results import ResultFiles
+    from detector.timed_frames import TimedFrames
     from detector.variants import View
     from labelgen.geometry import Camera, RoadMask
     from labelgen.geometry.projective import Array
     from labelgen.masks import MaskSource
-    from labelgen.sources.frames import FrameSource
+    from labelgen.sources.frames import Frame, FrameSource
 
 __all__ = ["speed"]
 
@@ -164,12 +165,12 @@ class _Job:
 
 def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
     from detector.mask_detections import MaskDetections, MaskPlacer
-    from detector.pipeline import detect, until, with_times
+    from detector.pipeline import detect
     from detector.variants import Variant, View
     from labelgen.errors import LabelgenError
     from labelgen.geometry import Pair, Rule, parse_size
     from labelgen.manifest import load_manifest
-    from labelgen.masks import create_mask_source
+    from labelgen.masks import create_mask_source, prime_masks
 
     if kind == "model":
         raise LabelgenError(
@@ -183,6 +184,7 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
     chosen, pair = Variant.parse(options.variant or "transform3d"), Pair.parse(options.pair or "VP2-VP3")
     rule = Rule.parse(options.rule)
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
+    is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
     view = View.create(chosen, camera, road, pair, size_wh)
     masks = create_mask_source(
@@ -190,17 +192,15 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
         device=options.device, frame_wh=frames.size_wh,
     )  # fmt: skip
     detector = MaskDetections(masks, MaskPlacer(view, road, pair, rule))
-    fps = frames.fps or rate
+    timed = _timed(frames, masks, frames.fps or rate, options.duration)
 
     def found() -> Iterator[Found]:
-        stamped = with_times(_primed(masks, frames, options.duration), fps, options.source)
-        return detect(detector, until(stamped, options.duration))
+        if not is_url:
+            prime_masks(masks, frames)
+        return detect(detector, timed)
 
-    expected = frames.frame_count
-    if options.duration and fps:
-        expected = min(expected or 10**9, round(options.duration * fps))
     return _Job(
-        frames.name if _is_url(options) else _name(options.source), view, fps, frames, detector, found, expected
+        frames.name if is_url else _name(options.source), view, timed.fps, frames, detector, found, timed.frame_count
     )
 
 
@@ -237,30 +237,25 @@ def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | Non
     return frames, scene.camera(frames.size_wh), scene.road(), options.fps or scene.fps
 
 
-def _primed(masks: MaskSource, frames: FrameSource, duration: float | None) -> Iterator[Any]:
-    """The frames, after the mask source has learnt from the first of them what it wants to.
-
-    A file is begun anew afterwards. A stream cannot be: its first seconds are only learnt from.
-    """
+def _timed(frames: FrameSource, masks: MaskSource, fps: float | None, duration: float | None) -> TimedFrames:
+    """The frames to measure. Of a stream, the first seconds are only learnt from where the mask source wants to."""
+    from detector.timed_frames import TimedFrames
     from labelgen.sources.stream import VideoStream
 
-    stride = masks.every_frame
-    if not masks.prime_frames:
-        yield from frames.frames()
-    elif isinstance(frames, VideoStream):
-        warm_up = min(_WARM_UP_S, _WARM_UP_SHARE * duration) if duration else _WARM_UP_S
-        coming = frames.frames()
+    if not (isinstance(frames, VideoStream) and masks.prime_frames):
+        return TimedFrames(frames, fps=fps, duration_s=duration)
+    warm_up = _WARM_UP_S if duration is None else min(_WARM_UP_S, _WARM_UP_SHARE * duration)
+
+    def learn(coming: Iterator[Frame]) -> None:
         masks.prime(frame.image for frame in takewhile(lambda frame: frame.time_s < warm_up, coming))
-        yield from coming
-    else:
-        first = frames.frames(lambda number: number % stride == 0)
-        masks.prime(frame.image for frame in takewhile(lambda frame: frame.number < masks.prime_frames, first))
-        yield from frames.frames()
+
+    return TimedFrames(frames, fps=fps, duration_s=duration, lead_in=learn)
 
 
 def _from_file(options: _Options, path: Path, render: bool) -> _Job:
     from detector.detection_file import DetectionFile
     from detector.pipeline import with_frames
+    from detector.timed_frames import TimedFrames
     from labelgen.errors import LabelgenError
     from labelgen.sources.frames import open_frames
     from labelgen.sources.scenes import find_scene
@@ -273,7 +268,8 @@ def _from_file(options: _Options, path: Path, render: bool) -> _Job:
         Path(options.source), calibration=options.calibration, road_mask=options.road_mask, need_frames=render
     )
     view = file.view(scene.camera(file.frame_wh))
-    frames = open_frames(scene.frames_path) if render and scene.frames_path is not None else None
+    fps = file.fps or options.fps or scene.fps
+    frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if render and scene.frames_path is not None else None
     duration = options.duration
 
     def found() -> Iterator[Found]:
@@ -281,7 +277,7 @@ def _from_file(options: _Options, path: Path, render: bool) -> _Job:
         kept = lines if duration is None else takewhile(lambda line: not line.time_s >= duration, lines)
         return with_frames(kept, frames)
 
-    return _Job(_name(options.source), view, file.fps or options.fps, frames, None, found, None)
+    return _Job(_name(options.source), view, fps, frames, None, found, None)
 
 
 def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
