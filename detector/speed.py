@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.detections import Detections
+from detector.fragments import fragments
 from detector.score.brnocompspeed import lanes_of
 from detector.score.ragged import gap_speeds_kmh
 from detector.track import DUPLICATE, IouTracker, TrackRules
@@ -166,7 +167,7 @@ class SpeedMeter:
 
     Attributes:
         dropped: how many tracks were no vehicles, by reason.
-        duplicates: how many boxes repeated a better one.
+        duplicates: how many boxes repeated a better one, or were parts of a larger one.
     """
 
     def __init__(
@@ -190,13 +191,16 @@ class SpeedMeter:
         """Take in one frame's detections.
 
         Returns:
-            ids (N,), the track of each detection, -1 for duplicates; and the vehicles whose tracks have ended.
+            ids (N,), the track of each detection, -1 for duplicates and fragments; and the vehicles whose tracks
+            have ended.
         """
         tick = found.frame
         if self._fps is not None and np.isfinite(found.time_s):
             tick = round(found.time_s * self._fps)
         self._tick = max(tick, self._tick + 1)
-        ids, ended = self._tracker.update(self._tick, found.boxes_xyxy, found.scores)
+        ids = np.full(len(found), DUPLICATE, dtype=np.int64)
+        own = ~fragments(found)
+        ids[own], ended = self._tracker.update(self._tick, found.boxes_xyxy[own], found.scores[own])
         counts = self._counts(found)
         for i, number in enumerate(ids.tolist()):
             if number == DUPLICATE:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from speed_scenes import Drive, exact_detections, make_camera, make_road, make_view
 
+from detector.fragments import fragments
 from detector.mask_detections import MaskPlacer
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError, RectificationError
@@ -122,3 +123,14 @@ def test_a_frame_without_masks(variant: Variant) -> None:
     found = MaskPlacer(view, make_road(view.camera), Pair.VP2_VP3).place(0, 0.0, InstanceMasks.empty((1920, 1080)))
     assert len(found) == 0
     assert found.to_dict()["boxes"] == []
+
+
+def test_parts_of_a_vehicle_are_no_vehicles() -> None:
+    """A box whose foot stands within the floor of a larger one; cars behind, in front and beside are their own."""
+    lorry = Drive(50, 24.0, 0.0, size_lwh=(9.0, 2.5, 3.5))
+    part = Drive(50, 28.0, 0.2, size_lwh=(1.5, 1.2, 1.0))
+    others = [Drive(50, 34.0, 0.0), Drive(50, 18.0, 0.0), Drive(50, 26.0, 3.4), Drive(50, 26.0, -3.4)]
+    for variant, expected in ((Variant.TRANSFORM3D, True), (Variant.MASKRCNN3D, True), (Variant.ORIG2D, False)):
+        found = exact_detections(make_view(variant), [lorry, part, *others], 0, 0.0)
+        assert len(found) == 6
+        assert fragments(found).tolist() == [False, expected, False, False, False, False]
