@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from labelgen.labels import Labels
 from labelgen.masks import InstanceMasks, MaskSource, masked_frames
 from labelgen.sources.frames import Frame, FrameSource, always
 
-__all__ = ["SPEED_LIMITS", "DetectionSource", "MaskDetections", "MaskPlacer"]
+__all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
 
 SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
 """Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
@@ -26,27 +25,6 @@ its foot is where it is, and without it a track would break."""
 
 _WINDOW_MARGIN_PX = 4
 _SMALLEST_WINDOW_PX = 32
-
-
-class DetectionSource(Protocol):
-    """Frames in, detections out.
-
-    Attributes:
-        view: where the detections lie.
-        rejects: how many candidates gave no detection, by reason.
-        problems: what had to be skipped so far, one line each.
-    """
-
-    @property
-    def view(self) -> View: ...
-    @property
-    def rejects(self) -> Counter[str]: ...
-    @property
-    def problems(self) -> list[str]: ...
-
-    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
-        """Each frame with its detections, in order."""
-        ...
 
 
 class MaskPlacer:
@@ -137,7 +115,7 @@ class MaskPlacer:
 
 
 class MaskDetections:
-    """A mask source as a `DetectionSource`.
+    """A mask source as a `detector.sources.DetectionSource`.
 
     Args:
         masks: where masks come from; primed before, where it wants to be.

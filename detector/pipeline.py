@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from detector.detections import Detections
-from detector.mask_detections import DetectionSource
 from detector.prefetch import prefetch
 from detector.render import AnnotatedVideo
 from detector.results import ResultFiles, ResultWriter
+from detector.sources import DetectionSource
 from detector.speed import SpeedMeter, Vehicle
 from detector.timed_frames import TimedFrames
 from detector.variants import View

@@ -22,9 +22,9 @@ from labelgen.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from detector.mask_detections import DetectionSource
     from detector.pipeline import Found, SpeedSummary
     from detector.results import ResultFiles
+    from detector.sources import DetectionSource
     from detector.timed_frames import TimedFrames
     from detector.variants import View
     from labelgen.geometry import Camera, RoadMask
