@@ -27,6 +27,7 @@ __all__ = ["MeasureRules", "SpeedMeter", "Vehicle", "speed_and_error"]
 
 IntArray = NDArray[np.int64]
 _FULL_HD_WIDTH = 1920
+_LEAST_BORDER_PX = 6.0
 GAP = 5
 # Standard error of a normal sample's median, in standard deviations over sqrt(n), and the latter from the MAD.
 _MEDIAN_ERROR, _MAD_TO_SIGMA = 1.2533, 1.4826
@@ -51,9 +52,12 @@ class MeasureRules:
 
     @classmethod
     def for_frame(cls, frame_wh: tuple[int, int]) -> MeasureRules:
-        """The published rules for frames of any size: the distances scale with the frame's width."""
+        """The published rules for frames of any size: distances scale with the frame's width.
+
+        The border does not go below 6 px, though: masks do not get finer with the frame.
+        """
         share = frame_wh[0] / _FULL_HD_WIDTH
-        return cls(border_px=10.0 * share, min_length_px=100.0 * share)
+        return cls(border_px=max(10.0 * share, _LEAST_BORDER_PX), min_length_px=100.0 * share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,8 +120,9 @@ def test_tracks_that_are_no_vehicles(rules: MeasureRules, reason: str) -> None:
 
 
 def test_rules_scale_with_the_frame() -> None:
-    rules = MeasureRules.for_frame((640, 360))
-    assert (rules.border_px, rules.min_length_px) == pytest.approx((10 / 3, 100 / 3))
+    rules = MeasureRules.for_frame((1280, 720))
+    assert (rules.border_px, rules.min_length_px) == pytest.approx((20 / 3, 200 / 3))
+    assert MeasureRules.for_frame((320, 240)).border_px == 6.0
     assert MeasureRules.for_frame((1920, 1080)) == MeasureRules()
 
 
