@@ -354,3 +354,15 @@ def run_code(code: str, arguments: list[Any]) -> subprocess.CompletedProcess[str
         text=True,
         timeout=100,
     )
+
+
+@pytest.mark.slow
+def test_a_real_road(real_data: Path, tmp_path: Path) -> None:
+    """A city street whose limit is 60 km/h, with a rough calibration; all vehicles drive away."""
+    assert run(real_data / "videos" / "city_road_640x360.mp4", "--out", tmp_path, "--duration", 8) == 0
+    table = rows(tmp_path / "city_road_640x360" / "vehicles_transform3d.csv")
+    long = [row for row in table if int(row["points"]) > 60]
+    assert len(long) >= 4
+    assert {row["direction"] for row in long} == {"away"}
+    assert all(30 < float(row["speed_kmh"]) < 75 for row in long)
+    assert all(1.4 < float(row["width_m"]) < 3.0 for row in long)
