@@ -117,7 +117,7 @@ CURVE = _camera_curve()
 def _curve(value: float, curve: _F) -> float:
     at = min(max(value, 0.0), 4.0) * 1024
     low = int(at)
-    return curve[low] + (at - low) * (curve[low + 1] - curve[low])
+    return float(curve[low] + (at - low) * (curve[low + 1] - curve[low]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -222,7 +222,7 @@ def _light_on(
 def shade(
     ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
     light: _F, pose: _F, exposure: float, curve: _F, origin: tuple[float, float], ss: int,
-) -> tuple[_F, _F]:  # fmt: skip
+) -> _F:  # fmt: skip
     """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
 
     Args:
@@ -243,12 +243,10 @@ def shade(
         ss: as there.
 
     Returns:
-        (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1]; and
-        (H, W) uint8 number of covered samples.
+        (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1].
     """
     h, w = ids.shape[0] // ss, ids.shape[1] // ss
     out = np.zeros((h, w, 4), dtype=np.float32)
-    count = np.zeros((h, w), dtype=np.uint8)
     share = 1.0 / (ss * ss)
     for r in range(h):
         for col in range(w):
@@ -273,10 +271,9 @@ def shade(
                     blue += min(blue1 * exposure, 4.0)
             if n == 0:
                 continue
-            count[r, col] = n
             alpha = n * share
             out[r, col, 0] = _curve(blue / n, curve) * alpha
             out[r, col, 1] = _curve(green / n, curve) * alpha
             out[r, col, 2] = _curve(red / n, curve) * alpha
             out[r, col, 3] = alpha
-    return out, count
+    return out

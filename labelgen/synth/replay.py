@@ -22,7 +22,7 @@ from labelgen.sources.pickles import load_pickle
 from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.scenes import FARTHEST_M, Lane, Scene, road_to_image
 from labelgen.synth.traffic import Trip, near_path_x
-from labelgen.synth.vehicles import body_kinds, make_vehicle
+from labelgen.synth.vehicles import body_kinds, vehicle_size
 
 __all__ = ["load_scene", "replayed_traffic"]
 
@@ -31,9 +31,7 @@ _LEAD_S = 2.0
 _CALIBRATION = "system_optimal_calibration.json"
 
 
-def load_scene(
-    folder: Path, weather: Weather, rng: np.random.Generator
-) -> tuple[Scene, Light, dict[str, Any]]:
+def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[Scene, Light, dict[str, Any]]:
     """A real session, `ROOT/dataset/NAME`, with its calibration in `ROOT/results/NAME`.
 
     Args:
@@ -58,7 +56,9 @@ def load_scene(
     gt = load_pickle(folder / "gt_data.pkl")
     missing = {"cars", "measurementLines", "laneDivLines", "invalidLanes", "distanceMeasurement"} - set(gt)
     if missing:
-        raise DataError(f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again")
+        raise DataError(
+            f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again"
+        )
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
     light = _fitted_light(make_light(weather, rng), background, mask)
@@ -188,6 +188,6 @@ def _dressed(trips: list[Trip], seed: int, kinds: Sequence[str] | None) -> list[
         ]
         names, shares = body_kinds(max(4.0, min(gaps, default=100.0) - 4.0))
         kind = str(rng.choice(list(kinds))) if kinds else str(rng.choice(names, p=shares))
-        size = make_vehicle(kind, np.random.default_rng(list(trip.vehicle_seed))).size_lwh
+        size = vehicle_size(kind, np.random.default_rng(list(trip.vehicle_seed)))
         out.append(replace(trip, kind=kind, size_lwh=size))
     return out

@@ -73,7 +73,7 @@ class Skin:
         self._view(chart)[:] = _texel(colour, material)
 
     def polygon(self, chart: Chart, points: Any, colour: Colour, material: int) -> None:
-        """Paint a polygon. Points: (d, z) on the sides, (d, y) on top, (y, z) with y to the viewer's right at the ends."""
+        """Paint a polygon. Points: (d, z) on the sides, (d, y) on top, (y, z) at the ends, y to the viewer's right."""
         view = np.ascontiguousarray(self._view(chart))
         cv2.fillPoly(view, [self._pixels(chart, points)], _texel(colour, material), cv2.LINE_8, 4)
         self._view(chart)[:] = view
@@ -84,7 +84,9 @@ class Skin:
         ring = np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
         self.polygon(chart, ring, colour, material)
 
-    def rectangle(self, chart: Chart, low: Sequence[float], high: Sequence[float], colour: Colour, material: int) -> None:
+    def rectangle(
+        self, chart: Chart, low: Sequence[float], high: Sequence[float], colour: Colour, material: int
+    ) -> None:
         """Paint an axis-aligned rectangle."""
         (x0, y0), (x1, y1) = low, high
         self.polygon(chart, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], colour, material)
@@ -103,7 +105,7 @@ class Skin:
             for _ in range(4):
                 image, maps = self._levels[-1]
                 size = (max(1, image.shape[1] // 2), max(1, image.shape[0] // 2))
-                half = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+                half: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
                 # Materials do not mix.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
                 self._levels.append((half, maps / 2))
@@ -221,7 +223,9 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         y = 0.66 * half
         skin.line(Chart.TOP, [(0.2, y), (shape.cowl[0] - 0.05, y + 0.08)], seam, PAINT)
         skin.line(Chart.TOP, [(0.2, -y), (shape.cowl[0] - 0.05, -y - 0.08)], seam, PAINT)
-        skin.rectangle(Chart.TOP, (shape.cowl[0] - 0.06, -0.8 * half), (shape.cowl[0] + 0.02, 0.8 * half), _BLACK, MATTE)
+        skin.rectangle(
+            Chart.TOP, (shape.cowl[0] - 0.06, -0.8 * half), (shape.cowl[0] + 0.02, 0.8 * half), _BLACK, MATTE
+        )
     roof = (shape.roof_front[0] + 0.12, shape.roof_rear[0] - 0.1)
     edge = cabin_edge(shape, half, shape.height) - 0.12
     style = rng.random()
@@ -239,9 +243,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         skin.rectangle(Chart.TOP, low, (shape.length - 0.12, 0.78 * half), (0.02, 0.02, 0.02), MATTE)
 
 
-def _interior(
-    skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator
-) -> None:
+def _interior(skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator) -> None:
     """What shows through the windscreen: dashboard, seats, who sits in them. `span`: d on top, z in front."""
     low, high = span
     if high - low < 0.25:
@@ -331,7 +333,9 @@ def _draw_rear(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator
             Chart.REAR, (side * inner * narrow, lamp_top - tall), (side * 0.85 * narrow, lamp_top - tall + 0.05),
             (0.5, 0.45, 0.4), LAMP,
         )  # fmt: skip
-    skin.line(Chart.REAR, [(-0.9 * narrow, lamp_top - tall - 0.07), (0.9 * narrow, lamp_top - tall - 0.07)], seam, PAINT)
+    skin.line(
+        Chart.REAR, [(-0.9 * narrow, lamp_top - tall - 0.07), (0.9 * narrow, lamp_top - tall - 0.07)], seam, PAINT
+    )
     _plate(skin, Chart.REAR, (0, lamp_top - tall - 0.02 if rng.random() < 0.6 else shape.clearance + 0.22), rng)
 
 

@@ -230,8 +230,8 @@ def test_a_part_without_a_readable_frame_is_an_empty_shard(labelgen, clip: Path,
         cv2.imwrite(str(folder / f"{n:04d}.png"), capture.read()[1])
     for n in range(4, 8):
         (folder / f"{n:04d}.png").write_bytes(b"damaged")
-    options = (folder, "--calibration", clip.with_suffix(".calibration.json"), "--road-mask", clip.with_suffix(".mask.png"),
-               "--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 1, "--per-shard", 4)  # fmt: skip
-    report = _run(labelgen, tmp_path / "out", *options)
+    scene = ("--calibration", clip.with_suffix(".calibration.json"), "--road-mask", clip.with_suffix(".mask.png"))
+    masks = ("--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 1, "--per-shard", 4)
+    report = _run(labelgen, tmp_path / "out", folder, *scene, *masks)
     assert [len(ShardReader(path)) for path in sorted((tmp_path / "out").glob("*.h5"))] == [4, 0, 4]
     assert report["rejects_by_reason"]["damaged input"] == 4
