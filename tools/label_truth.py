@@ -203,8 +203,8 @@ def page(cases: list[Case], scenes: int, real: int) -> str:
         f"{scenes} made-up and {real} real camera geometries, towards and away from the camera. The mask is exact; its "
         "label is compared with the one encoded from the body's exact 3D box (without mirrors).\n",
         "IoU is that of the 2D boxes, with its 5th and 1st percentiles (lower is worse); then |c_c error| with its "
-        "95th and 99th percentiles for both rules, and the mean error with its sign. A column of heights holds boxes within "
-        "a factor of the square root of 2. `box` is a plain cuboid: what is left there is the raster's error alone.\n",
+        "95th and 99th percentiles for both rules, and the mean error with its sign. A column of heights holds boxes "
+        "within a factor of the square root of 2. `box` is a plain cuboid: what is left is the raster's error.\n",
     ]
     vehicles = [c for c in cases if c.kind != "box"]
     for pair, size in PAIRS.items():

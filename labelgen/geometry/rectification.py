@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
-from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, homogeneous, translation
+from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, clip_polygon, translation
 
 __all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "parse_size", "rectify_windows"]
 
@@ -308,7 +308,7 @@ class Rectification:
         # are lines of the rectified image too, and together they leave only w >= 0.
         x, y, scale = self.inverse
         for border in (x, y, frame_w * scale - x, frame_h * scale - y):
-            seen = _clip(seen, border)
+            seen = clip_polygon(seen, border)
         return float(shapely.Polygon(seen).area) / (w * h) if len(seen) > 2 else 0.0
 
     # -- warping, both ways -------------------------------------------------------------------------
@@ -316,6 +316,14 @@ class Rectification:
     def points(self, points_px: ArrayLike) -> Array:
         """Frame px (..., 2) -> rectified px; NaN beyond the line that goes to infinity."""
         return _map(self.matrix, points_px)
+
+    def polygon_inside(self, polygon_px: ArrayLike) -> Array:
+        """The part of a convex frame polygon (K, 2) that lies in the rectified image, rectified px (J, 2), J >= 0."""
+        (w, h), (x, y, depth) = self.size_wh, self.matrix
+        inside = np.asarray(polygon_px, dtype=np.float64)
+        for border in (depth, x, w * depth - x, y, h * depth - y):
+            inside = clip_polygon(inside, border)
+        return np.clip(self.points(inside), 0, self.size_wh)
 
     def points_back(self, points_rectified: ArrayLike) -> Array:
         """Rectified px (..., 2) -> frame px."""
@@ -375,18 +383,6 @@ def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
 def _map(matrix: Array, points: ArrayLike) -> Array:
     pts = np.asarray(points, dtype=np.float64)
     return apply_homography(matrix, pts.reshape(-1, 2)).reshape(pts.shape)
-
-
-def _clip(polygon: Array, line: Array) -> Array:
-    """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
-    side = homogeneous(polygon) @ line
-    corners = []
-    for i in range(len(polygon)):
-        if side[i - 1] * side[i] < 0:
-            corners.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * side[i - 1] / (side[i - 1] - side[i]))
-        if side[i] >= 0:
-            corners.append(polygon[i])
-    return np.array(corners).reshape(-1, 2)
 
 
 def _box_corners(boxes_xyxy: ArrayLike) -> Array:
