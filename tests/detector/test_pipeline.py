@@ -41,7 +41,8 @@ class ColourDetector:
         for image in images:
             blue = ((image[..., 0].astype(int) - image[..., 2]) > 80).astype(np.uint8)
             count, parts = cv2.connectedComponents(blue)
-            outlines = [o for n in range(1, count) if (o := mask_outline(parts == n)) is not None and o.area_px2 > 30]
+            masks = [mask for n in range(1, count) if (mask := parts == n).sum() > 30]
+            outlines = [outline for mask in masks if (outline := mask_outline(mask)) is not None]
             found = label_outlines(outlines, self.vpu)
             out.append(Labels(found.boxes_xyxy, found.cc, scores=np.full(len(outlines), 0.9)))
         return out
