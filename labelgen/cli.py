@@ -16,6 +16,7 @@ from labelgen.commands.demo import demo
 from labelgen.commands.evaluate import evaluate
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
+from labelgen.commands.speed import speed
 from labelgen.commands.synth import synth_app
 from labelgen.errors import LabelgenError
 
@@ -53,6 +54,7 @@ app.command("merge", short_help="Put shards of several data sets into one folder
 app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
 app.command("demo", short_help="Synthetic traffic, labelled both ways, to look at.")(demo)
 app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
+app.command("speed", short_help="Tracks and speeds of the vehicles in a video.")(speed)
 app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
 
 
