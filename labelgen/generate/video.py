@@ -115,6 +115,13 @@ def video_job(
     return Job("bcs-masks", chosen, inputs, units, originals)
 
 
+def _rate_problem(frames: FrameSource, scene: Scene) -> list[str]:
+    """A note where a recording of the data set does not run at the rate that the data set states."""
+    if frames.fps is None or scene.fps is None or abs(frames.fps - scene.fps) <= 0.01 * scene.fps:
+        return []
+    return [f"the video runs at {frames.fps:g} frames per second, the data set says {scene.fps:g}; times may be wrong"]
+
+
 def _with_distinct_names(scenes: Sequence[Scene]) -> list[Scene]:
     """The scenes, those of the same name numbered; a label's source must say which video it is from."""
     seen: dict[Path, str] = {}
@@ -246,7 +253,7 @@ class VideoUnit:
                 if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
                     break
             writer.last = True
-            for problem in [*frames.problems, *source.problems]:
+            for problem in [*_rate_problem(frames, self.scene), *frames.problems, *source.problems]:
                 writer.reject(Reject(name, -1, -1, "input problem", problem))
 
     def _label(
