@@ -317,7 +317,7 @@ def test_flipped_bits_never_end_in_a_traceback(tmp_path: Path) -> None:
         data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
         path.write_bytes(data)
         found += bool(validate_shard(path))
-    assert found > 100  # the rest hits bytes that HDF5 itself does not use
+    assert found > 50  # the rest hits bytes that say nothing: a small file is mostly HDF5's own slack
 
 
 def test_merge(tmp_path: Path) -> None:
