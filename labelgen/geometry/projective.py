@@ -49,6 +49,8 @@ def bounding_boxes(points: ArrayLike) -> Array:
 def clip_polygon(polygon: Array, line: Array) -> Array:
     """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
     side = homogeneous(polygon) @ line
+    if (side >= 0).all():
+        return polygon
     corners = []
     for i in range(len(polygon)):
         if side[i - 1] * side[i] < 0:

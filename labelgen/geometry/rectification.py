@@ -12,8 +12,9 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Literal
 
 import cv2
@@ -165,7 +166,6 @@ class Rectification:
     frame_coverage: float = math.nan
     road_area: float = math.nan
     crop_steps: int = 0
-    inverse: Array = field(init=False)
 
     def __post_init__(self) -> None:
         matrix, vpu = np.array(self.matrix, dtype=np.float64), np.array(self.vpu, dtype=np.float64)
@@ -174,18 +174,21 @@ class Rectification:
                 f"rectification: expected a finite 3x3 matrix and VPU, got {matrix.tolist()}, {vpu.tolist()}"
             )
         _check_size(self.size_wh)
-        try:
-            inverse = np.linalg.inv(matrix)
-        except np.linalg.LinAlgError:
-            raise RectificationError("rectification: the matrix is singular") from None
-        centre = inverse @ np.array([self.size_wh[0] / 2, self.size_wh[1] / 2, 1.0])
-        # The centre of the rectified image lies on the visible side, whichever sign the matrix came with.
-        sign = np.sign(centre[2]) or 1.0
-        matrix, inverse = matrix * sign, inverse * sign
-        for array in (matrix, vpu, inverse):
+        sign = _visible_sign(matrix, self.size_wh)
+        if sign == 0:
+            raise RectificationError("rectification: the matrix is singular")
+        matrix = np.asarray(matrix * sign, dtype=np.float64)
+        for array in (matrix, vpu):
             array.setflags(write=False)
-        for key, value in {"matrix": matrix, "vpu": vpu, "inverse": inverse}.items():
+        for key, value in {"matrix": matrix, "vpu": vpu}.items():
             object.__setattr__(self, key, value)
+
+    @cached_property
+    def inverse(self) -> Array:
+        """(3, 3) rectified px -> frame px."""
+        inverse: Array = np.linalg.inv(self.matrix)
+        inverse.setflags(write=False)
+        return inverse
 
     # -- constructors -------------------------------------------------------------------------------
 
@@ -383,6 +386,15 @@ def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
 def _map(matrix: Array, points: ArrayLike) -> Array:
     pts = np.asarray(points, dtype=np.float64)
     return apply_homography(matrix, pts.reshape(-1, 2)).reshape(pts.shape)
+
+
+def _visible_sign(matrix: Array, size_wh: tuple[int, int]) -> float:
+    """The sign that makes the third coordinate positive where the rectified image's centre lies; 0 if singular."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    # The third row of the adjugate, on the centre: the depth there, but for the determinant's sign.
+    depth = (d * h - e * g) * size_wh[0] / 2 + (b * g - a * h) * size_wh[1] / 2 + (a * e - b * d)
+    return float(np.sign(det) * np.sign(depth)) if depth else float(np.sign(det))
 
 
 def _box_corners(boxes_xyxy: ArrayLike) -> Array:
