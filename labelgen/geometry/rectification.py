@@ -177,7 +177,7 @@ class Rectification:
         sign = _visible_sign(matrix, self.size_wh)
         if sign == 0:
             raise RectificationError("rectification: the matrix is singular")
-        matrix = np.asarray(matrix * sign, dtype=np.float64)
+        np.multiply(matrix, sign, out=matrix)
         for array in (matrix, vpu):
             array.setflags(write=False)
         for key, value in {"matrix": matrix, "vpu": vpu}.items():
