@@ -186,7 +186,7 @@ class Rectification:
     @cached_property
     def inverse(self) -> Array:
         """(3, 3) rectified px -> frame px."""
-        inverse: Array = np.linalg.inv(self.matrix)
+        inverse = np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
         inverse.setflags(write=False)
         return inverse
 
