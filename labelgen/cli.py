@@ -13,11 +13,15 @@ from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
 from labelgen.commands.demo import demo
+from labelgen.commands.detect import detect
+from labelgen.commands.detector_test import detector_test
 from labelgen.commands.evaluate import evaluate
+from labelgen.commands.export_model import export_model
 from labelgen.commands.rectify import rectify
 from labelgen.commands.shards import inspect, merge, validate
 from labelgen.commands.speed import speed
 from labelgen.commands.synth import synth_app
+from labelgen.commands.train import train
 from labelgen.errors import LabelgenError
 
 __all__ = ["app", "main"]
@@ -56,6 +60,10 @@ app.command("demo", short_help="Synthetic traffic, labelled both ways, to look a
 app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
 app.command("speed", short_help="Tracks and speeds of the vehicles in a video.")(speed)
 app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
+app.command("train", short_help="Train the detector on shards.")(train)
+app.command("test-detector", short_help="Judge a detector on labelled shards.")(detector_test)
+app.command("detect", short_help="Find vehicles in videos, images or shards.")(detect)
+app.command("export-model", short_help="Write a detector as ONNX.")(export_model)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

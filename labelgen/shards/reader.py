@@ -44,6 +44,7 @@ class ShardReader:
         self.path = Path(path)
         self._file: h5py.File | None = None
         self._pid = 0
+        self._images: h5py.Dataset | None = None
 
     def __enter__(self) -> ShardReader:
         return self
@@ -55,13 +56,13 @@ class ShardReader:
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {key: value for key, value in self.__dict__.items() if key not in _STALE_AFTER_UNPICKLING}
-        return {**kept, "_file": None, "_pid": 0}
+        return {**kept, "_file": None, "_pid": 0, "_images": None}
 
     def close(self) -> None:
         """Close the file; the next access opens it again."""
         if self._file is not None and self._pid == os.getpid():
             self._file.close()
-        self._file = None
+        self._file = self._images = None
 
     def _open(self) -> h5py.File:
         # A handle that came through fork() shares its file position with the parent: open our own.
@@ -76,6 +77,7 @@ class ShardReader:
                 reason = " ".join(str(err).split())
                 raise DataError(f"{self.path}: not a whole HDF5 file ({reason}); make it again") from None
             self._pid = os.getpid()
+            self._images = None
         return self._file
 
     # -- what the file says of itself ----------------------------------------------------------------
@@ -183,7 +185,10 @@ class ShardReader:
         start, stop = self.table("images/offset")[[index, index + 1]]
         file = self._open()
         with self._damage():
-            data: bytes = file["images/bytes"][int(start) : int(stop)].tobytes()
+            if self._images is None:
+                # Looking a data set up takes as long as reading a picture from it.
+                self._images = file["images/bytes"]
+            data: bytes = self._images[int(start) : int(stop)].tobytes()
         return data
 
     def rectification(self, index: int) -> Rectification:

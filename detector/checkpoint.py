@@ -1,0 +1,128 @@
+"""What a checkpoint says of itself, and how it becomes a model again.
+
+A checkpoint is a dict of tensors, numbers and text, as `torch.load(weights_only=True)` reads it: Lightning's own fields
+(weights, optimiser, progress), and under "labelgen" this card.
+"""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from detector.model import CcRetinaNet, ModelConfig, build_model
+from labelgen import __version__
+from labelgen.errors import DataError, LabelgenError
+from labelgen.geometry import Pair
+
+__all__ = ["CARD_KEY", "Card", "load_detector", "read_checkpoint", "take_weights"]
+
+CARD_KEY, PREFIX = "labelgen", "model."
+_FORMAT, _VERSION = "labelgen-detector", 1
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a detector is for and where it comes from.
+
+    Args:
+        preset: name of the settings it was trained with.
+        pair, size_wh: rectification of the pictures it takes.
+        config: shape of the network.
+        min_height_px: lowest label it was trained on.
+        labels: one dict per set of shards, see `detector.data.label_provenance`.
+        training: settings that decide the result: seed, batch, steps and so on.
+        producer: version that trained it.
+    """
+
+    preset: str
+    pair: Pair
+    size_wh: tuple[int, int]
+    config: ModelConfig
+    min_height_px: float
+    labels: list[dict[str, Any]]
+    training: dict[str, Any]
+    producer: str = f"labelgen {__version__}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values."""
+        return {**asdict(self), "pair": str(self.pair), "format": _FORMAT, "version": _VERSION}
+
+    @classmethod
+    def from_dict(cls, data: Any, where: str) -> Card:
+        """From plain values.
+
+        Raises:
+            DataError: not a detector's card, or one of another version.
+        """
+        if not isinstance(data, dict) or data.get("format") != _FORMAT:
+            raise DataError(f"{where}: not a checkpoint of a labelgen detector; give one that `labelgen train` wrote")
+        if data.get("version") != _VERSION:
+            raise DataError(
+                f"{where}: checkpoint format {data.get('version')}, this labelgen reads {_VERSION}; take the other one"
+            )
+        try:
+            config = {key: _tuples(value) for key, value in data["config"].items()}
+            return cls(
+                data["preset"], Pair.parse(data["pair"]), (int(data["size_wh"][0]), int(data["size_wh"][1])),
+                ModelConfig(**config), float(data["min_height_px"]), list(data["labels"]), dict(data["training"]),
+                str(data["producer"]),
+            )  # fmt: skip
+        except (KeyError, TypeError, ValueError, LabelgenError) as err:
+            raise DataError(f"{where}: damaged card ({err}); train again") from None
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The content of a checkpoint, nothing but tensors and plain values.
+
+    Raises:
+        DataError: no such file, damaged, or with anything else inside.
+    """
+    try:
+        data = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError as err:
+        raise DataError(f"checkpoint {path}: {err.strerror or err}") from None
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as err:
+        reason = " ".join(str(err).split())[:120]
+        raise DataError(f"checkpoint {path}: not a whole checkpoint of plain weights ({reason})") from None
+    if not isinstance(data, dict):
+        raise DataError(f"checkpoint {path}: not a checkpoint of a labelgen detector")
+    return data
+
+
+def take_weights(model: CcRetinaNet, state: Any, where: str) -> None:
+    """Put weights into a model, from a checkpoint's "state_dict" or a bare state dict.
+
+    Raises:
+        DataError: they do not fit.
+    """
+    own = {key.removeprefix(PREFIX): value for key, value in dict(state).items()}
+    try:
+        model.load_state_dict(own)
+    except (RuntimeError, AttributeError) as err:
+        reason = " ".join(str(err).split())[:160]
+        raise DataError(f"{where}: its weights are of another network ({reason})") from None
+
+
+def load_detector(path: Path, **options: Any) -> tuple[CcRetinaNet, Card]:
+    """A trained model, ready to detect.
+
+    Args:
+        path: checkpoint.
+        options: of `detector.model.build_model`, for instance `score_thresh`.
+
+    Raises:
+        DataError: not a checkpoint of a detector.
+    """
+    data = read_checkpoint(path)
+    card = Card.from_dict(data.get(CARD_KEY), f"checkpoint {path}")
+    model = build_model(card.config, **options)
+    take_weights(model, data.get("state_dict", {}), f"checkpoint {path}")
+    return model.eval(), card

@@ -1,0 +1,226 @@
+"""torchvision's RetinaNet with a second regression output: c_c, one value per anchor.
+
+    L = (L_conf + L_loc + w L_c) / N
+
+over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors
+that are positive or negative, smooth L1 (beta 1/9) over the positive ones for the box and for c_c. A label whose c_c is
+not known (`cc_known` False) is left out of L_c alone.
+
+Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized.
+
+Source: Lin et al. 2017 (RetinaNet); Kocur & Ftacnik 2020, section 3.4 (c_c and the loss).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+from torchvision.models.detection import RetinaNet
+from torchvision.models.detection._utils import Matcher
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.retinanet import RetinaNetHead, RetinaNetRegressionHead
+from torchvision.models.detection.transform import GeneralizedRCNNTransform
+from torchvision.ops import batched_nms, clip_boxes_to_image, sigmoid_focal_loss
+
+from detector.backbone import NORMS, build_backbone
+
+__all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
+
+BETA = 1 / 9
+IMAGE_MEAN, IMAGE_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Everything that decides the shape of a model; plain numbers and text, so a checkpoint can carry it.
+
+    Args:
+        backbone: torchvision network.
+        levels: pyramid levels, 3 for stride 8.
+        channels: of the pyramid and the heads.
+        head_convs: convolutions in each head's tower, 1 to 4.
+        head_norm, trunk_norm: "none", "batch", "frozen" or "group"; see `detector.backbone.NORMS`.
+        anchor_sizes: per level, sides px of square anchors.
+        anchor_ratios: heights over widths of the anchors, the same on every level.
+        cc_weight: weight of the c_c term; 0 for the 2D variants.
+        low_quality_matches: whether a label without an anchor of IoU 0.5 gets its best one nevertheless, as
+            torchvision does it; the paper does not say so.
+    """
+
+    backbone: str = "resnet50"
+    levels: tuple[int, ...] = (3, 4, 5, 6, 7)
+    channels: int = 256
+    head_convs: int = 4
+    head_norm: str = "none"
+    trunk_norm: str = "batch"
+    anchor_sizes: tuple[tuple[float, ...], ...] = tuple(
+        tuple(float(int(side * 2 ** (k / 3))) for k in range(3)) for side in (32, 64, 128, 256, 512)
+    )
+    anchor_ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
+    cc_weight: float = 1.0
+    low_quality_matches: bool = False
+
+
+class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
+    """torchvision's box head, with c_c read off the same tower by one more convolution."""
+
+    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any = None) -> None:
+        super().__init__(in_channels, num_anchors, norm_layer=norm_layer)
+        self.cc = nn.Conv2d(in_channels, num_anchors, kernel_size=3, padding=1)
+        nn.init.normal_(self.cc.weight, std=0.01)
+        # c_c lies in [0, 1]: begin in the middle.
+        assert self.cc.bias is not None
+        nn.init.constant_(self.cc.bias, 0.5)
+
+    def forward(self, x: list[Tensor]) -> Any:
+        """Per level features -> boxes (N, A, 4) and c_c (N, A), in torchvision's order of anchors."""
+        # One convolution for both: c_c's few channels alone would cost as much as a block of sixteen.
+        assert self.cc.bias is not None
+        weight = torch.cat([self.bbox_reg.weight, self.cc.weight])
+        bias = torch.cat([self.bbox_reg.bias, self.cc.bias])
+        boxes: list[Tensor] = []
+        shares: list[Tensor] = []
+        for features in x:
+            raw = F.conv2d(self.conv(features), weight, bias, padding=1)
+            n, _, h, w = raw.shape
+            for out, part, width in (
+                (boxes, raw[:, : -self.cc.out_channels], 4),
+                (shares, raw[:, -self.cc.out_channels :], 1),
+            ):
+                out.append(part.reshape(n, -1, width, h, w).permute(0, 3, 4, 1, 2).reshape(n, -1, width))
+        return torch.cat(boxes, dim=1), torch.cat(shares, dim=1).squeeze(-1)
+
+
+class CcHead(RetinaNetHead):  # type: ignore[misc]
+    """torchvision's RetinaNet head with c_c, lighter where wanted.
+
+    Args:
+        in_channels, num_anchors, norm_layer: as torchvision's.
+        convs: convolutions in each tower, 1 to 4.
+        cc_weight: weight of the c_c term.
+    """
+
+    def __init__(
+        self, in_channels: int, num_anchors: int, norm_layer: Any = None, *, convs: int = 4, cc_weight: float = 1.0
+    ) -> None:
+        super().__init__(in_channels, num_anchors, num_classes=1, norm_layer=norm_layer)
+        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer)
+        for head in (self.classification_head, self.regression_head):
+            head.conv = head.conv[:convs]
+        self.cc_weight = cc_weight
+
+    def forward(self, x: list[Tensor]) -> dict[str, Tensor]:
+        """Outputs of all anchors."""
+        boxes, cc = self.regression_head(x)
+        return {"cls_logits": self.classification_head(x), "bbox_regression": boxes, "cc": cc}
+
+    def compute_loss(self, targets: Any, head_outputs: Any, anchors: Any, matched_idxs: Any) -> dict[str, Tensor]:
+        """The three terms, each divided by the batch's number of positive anchors.
+
+        Args:
+            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool.
+            head_outputs: of `forward`.
+            anchors: per image (A, 4).
+            matched_idxs: per image (A,) number of the label, -1 negative, -2 neither.
+        """
+        matched = torch.stack(list(matched_idxs))
+        positive, counted = matched >= 0, matched != Matcher.BETWEEN_THRESHOLDS
+        count = positive.sum().clamp(min=1)
+        logits = head_outputs["cls_logits"].squeeze(-1)
+        conf = sigmoid_focal_loss(logits[counted], positive[counted].to(logits.dtype), reduction="sum")
+
+        coder = self.regression_head.box_coder
+        chosen = [index[index >= 0] for index in matched_idxs]
+        wanted = torch.cat(
+            [
+                coder.encode_single(t["boxes"][index], a[mask])
+                for t, index, a, mask in zip(targets, chosen, anchors, positive, strict=True)
+            ]
+        )
+        loc = F.smooth_l1_loss(head_outputs["bbox_regression"][positive], wanted, beta=BETA, reduction="sum")
+
+        shares = torch.cat([t["cc"][index] for t, index in zip(targets, chosen, strict=True)])
+        known = torch.cat([t["cc_known"][index] for t, index in zip(targets, chosen, strict=True)])
+        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=BETA, reduction="sum")
+        return {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
+
+
+class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
+    """Normalises and pads, never resizes: labels and detections are in the image's own px."""
+
+    def __init__(self) -> None:
+        super().__init__(1, 1, list(IMAGE_MEAN), list(IMAGE_STD))
+
+    def resize(self, image: Tensor, target: Any = None) -> Any:
+        """Image and target unchanged."""
+        return image, target
+
+
+class CcRetinaNet(RetinaNet):  # type: ignore[misc]
+    """RetinaNet of one class with c_c. In training a dict of losses, else per image `boxes`, `scores`, `labels`, `cc`.
+
+    Args:
+        backbone: trunk with pyramid, see `detector.backbone.build_backbone`.
+        anchor_generator: torchvision's.
+        head: a `CcHead`.
+        options: of torchvision's RetinaNet: thresholds, numbers of detections, matcher.
+    """
+
+    def __init__(self, backbone: nn.Module, anchor_generator: AnchorGenerator, head: CcHead, **options: Any) -> None:
+        super().__init__(backbone, num_classes=1, anchor_generator=anchor_generator, head=head, **options)
+        self.transform = _AsItIs()
+
+    def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
+        """As torchvision's, with c_c, clamped to [0, 1], going the same way as its box."""
+        found = []
+        for i, shape in enumerate(image_shapes):
+            parts = [
+                self._candidates(
+                    head_outputs["cls_logits"][level][i],
+                    head_outputs["bbox_regression"][level][i],
+                    head_outputs["cc"][level][i],
+                    a,
+                )
+                for level, a in enumerate(anchors[i])
+            ]
+            boxes, scores, cc = (torch.cat(part) for part in zip(*parts, strict=True))
+            boxes = clip_boxes_to_image(boxes, shape)
+            labels = torch.zeros(len(boxes), dtype=torch.int64, device=boxes.device)
+            keep = batched_nms(boxes, scores, labels, self.nms_thresh)[: self.detections_per_img]
+            found.append({"boxes": boxes[keep], "scores": scores[keep], "labels": labels[keep], "cc": cc[keep]})
+        return found
+
+    def _candidates(self, logits: Tensor, boxes: Tensor, cc: Tensor, anchors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The best anchors of one level above the score threshold: boxes (K, 4), scores (K,), c_c (K,)."""
+        scores = torch.sigmoid(logits).flatten()
+        above = torch.where(scores > self.score_thresh)[0]
+        best, order = scores[above].topk(min(self.topk_candidates, len(above)))
+        index = above[order]
+        return self.box_coder.decode_single(boxes[index], anchors[index]), best, cc[index].clamp(0, 1)
+
+
+def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -> CcRetinaNet:
+    """A model of this configuration.
+
+    Args:
+        config: its shape.
+        weights: of the trunk, "imagenet" or "none".
+        options: further ones of torchvision's RetinaNet, for instance `score_thresh`.
+
+    Raises:
+        LabelgenError: the backbone or its weights are not to be had.
+    """
+    backbone = build_backbone(config.backbone, config.levels, config.channels, weights=weights, norm=config.trunk_norm)
+    sizes: Sequence[Sequence[float]] = config.anchor_sizes
+    anchors = AnchorGenerator(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
+    head = CcHead(
+        config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
+        cc_weight=config.cc_weight,
+    )  # fmt: skip
+    matcher = Matcher(0.5, 0.4, allow_low_quality_matches=config.low_quality_matches)
+    return CcRetinaNet(backbone, anchors, head, proposal_matcher=matcher, **options)

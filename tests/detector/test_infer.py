@@ -1,0 +1,114 @@
+"""Inference: the optimised paths give what the plain ones give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from clips import CAMERA, SIZE, road_mask
+from detector_shards import painted_sample
+
+from detector.checkpoint import Card
+from detector.infer import Detector, DeviceRectifier, ModelDetections, choose_device, fold_batch_norm, to_tensor
+from detector.model import CcRetinaNet, ModelConfig, build_model
+from detector.variants import Variant
+from labelgen.errors import LabelgenError
+from labelgen.geometry import Pair, Rectification, RoadMask
+from labelgen.sources.frames import Frame
+
+CONFIG = ModelConfig(
+    backbone="mobilenet_v3_small",
+    levels=(3, 4),
+    channels=32,
+    head_convs=1,
+    head_norm="group",
+    anchor_sizes=((16.0,), (32.0,)),
+)
+ROAD = RoadMask(road_mask())
+
+
+def model(config: ModelConfig = CONFIG) -> CcRetinaNet:
+    torch.manual_seed(0)
+    network = build_model(config, score_thresh=0.01)
+    # Running averages that are not those of an untrained network.
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.running_mean.uniform_(-0.1, 0.1)
+            module.running_var.uniform_(0.8, 1.2)
+    return network.eval()
+
+
+def card(config: ModelConfig = CONFIG) -> Card:
+    return Card("small", Pair.VP2_VP3, (160, 96), config, 10.0, [], {})
+
+
+@pytest.mark.parametrize("backbone", ["mobilenet_v3_small", "resnet18", "shufflenet_v2_x0_5"])
+def test_folding_batch_normalisation_changes_nothing(backbone: str) -> None:
+    config = replace(CONFIG, backbone=backbone)
+    plain, folded = model(config), model(config)
+    fold_batch_norm(folded)
+    assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in folded.backbone.body.modules())
+    image = to_tensor(painted_sample(1).image, torch.device("cpu"))
+    with torch.no_grad():
+        a, b = plain([image])[0], folded([image])[0]
+    assert len(a["boxes"]) > 5
+    assert torch.allclose(a["boxes"], b["boxes"], atol=1e-3)
+    assert torch.allclose(a["cc"], b["cc"], atol=1e-4)
+
+
+def test_rectifying_on_the_device_is_opencvs() -> None:
+    rectification = Rectification.from_road_mask(CAMERA, ROAD, Pair.VP2_VP3, (160, 96))
+    rng = np.random.default_rng(0)
+    frame = np.asarray(rng.integers(0, 255, (SIZE[1] // 8, SIZE[0] // 8, 3)), dtype=np.uint8).repeat(8, 0).repeat(8, 1)
+    ours = DeviceRectifier(rectification, torch.device("cpu"))(frame)
+    wanted = to_tensor(rectification.warp_image(frame), torch.device("cpu"))
+    assert ours.shape == wanted.shape == (3, 96, 160)
+    # Both are zero outside of the frame; on its very border they blend differently.
+    assert (ours - wanted).abs().quantile(0.98) < 2 / 255
+
+
+def test_a_detector_is_a_source_of_detections() -> None:
+    source = ModelDetections(Detector(model(), card(), device="cpu"), CAMERA, ROAD, batch=2)
+    assert source.view.variant is Variant.TRANSFORM3D
+    assert source.view.size_wh == (160, 96)
+    rng = np.random.default_rng(0)
+    frames = [Frame(n, n / 25, np.asarray(rng.integers(0, 255, (SIZE[1], SIZE[0], 3)), np.uint8)) for n in range(5)]
+    out = list(source.stream(frames))
+    assert [frame.number for frame, _ in out] == [0, 1, 2, 3, 4]
+    assert [found.frame for _, found in out] == [0, 1, 2, 3, 4]
+    assert any(len(found) for _, found in out)
+    alone = list(ModelDetections(Detector(model(), card(), device="cpu"), CAMERA, ROAD).stream(frames[2:3]))
+    np.testing.assert_allclose(alone[0][1].boxes_xyxy, out[2][1].boxes_xyxy, atol=1e-3)
+
+
+def test_half_precision_is_close() -> None:
+    image = to_tensor(painted_sample(1).image, torch.device("cpu"))
+    full, half = (Detector(model(), card(), device="cpu", half=h)([image])[0] for h in (False, True))
+    assert abs(float(full.scores.max() - half.scores.max())) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("weight", "variant", "message"),
+    [
+        (1.0, Variant.ORIG2D, "works on rectified pictures"),
+        (0.0, Variant.TRANSFORM3D, "trained without c_c"),
+    ],
+)
+def test_variants_a_model_cannot_do(weight: float, variant: Variant, message: str) -> None:
+    config = replace(CONFIG, cc_weight=weight)
+    detector = Detector(model(config), card(config), device="cpu")
+    with pytest.raises(LabelgenError, match=message):
+        ModelDetections(detector, CAMERA, ROAD, variant=variant)
+
+
+def test_models_without_cc_default_to_2d() -> None:
+    config = replace(CONFIG, cc_weight=0.0)
+    source = ModelDetections(Detector(model(config), card(config), device="cpu"), CAMERA, ROAD)
+    assert source.view.variant is Variant.TRANSFORM2D
+
+
+def test_unknown_devices_are_named() -> None:
+    with pytest.raises(LabelgenError, match="--device teapot"):
+        choose_device("teapot")

@@ -1,0 +1,168 @@
+"""How fast the detector is.
+
+`branch`: the c_c branch against torchvision's own RetinaNet, same weights, same input, alternating in one run.
+`stages`: a video end to end, decode, rectify, detect, track: frames per second, and where the time goes.
+
+    python -m tools.benchmark_detector branch [--backbone resnet50] [--size 640x360] [--pairs 20]
+    python -m tools.benchmark_detector stages CHECKPOINT VIDEO_OR_SESSION [--frames 300] [--half] [--compile]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchvision.models.detection import RetinaNet
+
+from detector.infer import Detector, ModelDetections
+from detector.model import ModelConfig, build_model
+from detector.pipeline import detect
+from detector.presets import find_preset
+from detector.track import IouTracker
+from labelgen.geometry import parse_size
+from labelgen.sources.frames import open_frames
+from labelgen.sources.scenes import find_scene
+
+__all__ = ["benchmark_branch", "benchmark_stages"]
+
+
+def _sync(device: torch.device) -> float:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, device: str) -> dict[str, Any]:
+    """Median inference time of both networks, and the median ratio of alternating pairs.
+
+    The ratio of processor time beside it is less disturbed by whatever else the machine does.
+    """
+    place = torch.device(device)
+    torch.manual_seed(0)
+    ours = build_model(config).eval().to(place, memory_format=torch.channels_last)
+    plain = RetinaNet(ours.backbone, 1, anchor_generator=ours.anchor_generator)
+    plain.transform = ours.transform
+    for head in (plain.head.classification_head, plain.head.regression_head):
+        head.conv = head.conv[: config.head_convs]
+    plain.head.classification_head = ours.head.classification_head
+    plain.head.regression_head.conv = ours.head.regression_head.conv
+    plain.head.regression_head.bbox_reg = ours.head.regression_head.bbox_reg
+    plain = plain.eval().to(place, memory_format=torch.channels_last)
+    image = [torch.rand(3, size_wh[1], size_wh[0], device=place)]
+    times: dict[str, list[tuple[float, float]]] = {"ours": [], "torchvision": []}
+    networks = {"ours": ours, "torchvision": plain}
+    with torch.inference_mode():
+        for number in range(pairs + 3):
+            # Who goes first changes from pair to pair.
+            for name in sorted(networks, reverse=bool(number % 2)):
+                begin, busy = _sync(place), time.process_time()
+                networks[name](image)
+                times[name].append((_sync(place) - begin, time.process_time() - busy))
+    wall, cpu = (
+        [a[k] / b[k] for a, b in zip(times["ours"][3:], times["torchvision"][3:], strict=True)] for k in (0, 1)
+    )
+    return {
+        "backbone": config.backbone, "size": list(size_wh), "pairs": pairs, "device": device,
+        "ours_ms": 1000 * statistics.median(wall for wall, _ in times["ours"][3:]),
+        "torchvision_ms": 1000 * statistics.median(wall for wall, _ in times["torchvision"][3:]),
+        "median_ratio": statistics.median(wall), "median_ratio_cpu_time": statistics.median(cpu),
+    }  # fmt: skip
+
+
+def benchmark_stages(
+    checkpoint: Path, source: Path, frames: int, *, device: str | None, half: bool | None, compiled: bool
+) -> dict[str, Any]:
+    """Frames per second end to end as in use (stages overlap), and milliseconds of each stage by itself.
+
+    Processor time per frame beside it says what the machine would do with nothing else running on it.
+    """
+    detector = Detector.load(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
+    scene = find_scene(source)
+    assert scene.frames_path is not None
+    video = open_frames(scene.frames_path)
+    model = ModelDetections(detector, scene.camera(video.size_wh), scene.road())
+
+    begin = time.perf_counter()
+    pictures = []
+    for frame in video.frames():
+        pictures.append(frame)
+        if len(pictures) >= min(frames, 40):
+            break
+    decode = (time.perf_counter() - begin) / len(pictures)
+    list(model.stream(pictures[:3]))
+    begin = _sync(detector.device)
+    inputs = [model.rectify(frame.image) for frame in pictures]
+    rectify = (_sync(detector.device) - begin) / len(pictures)
+    begin = _sync(detector.device)
+    for tensor in inputs:
+        detector([tensor])
+    network = (_sync(detector.device) - begin) / len(pictures)
+
+    tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
+    begin, busy = time.perf_counter(), time.process_time()
+    for _, found in detect(model, video.frames()):
+        start = time.perf_counter()
+        tracker.update(found.frame, found.boxes_xyxy, found.scores)
+        tracking += time.perf_counter() - start
+        count, vehicles = count + 1, vehicles + len(found)
+        if count >= frames:
+            break
+    seconds, busy = time.perf_counter() - begin, time.process_time() - busy
+    result = {
+        "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
+        "size_wh": list(detector.card.size_wh),
+        "device": str(detector.device), "threads": torch.get_num_threads(), "fps": count / seconds,
+        "cpu_ms_per_frame": 1000 * busy / count,
+        "decode_ms": 1000 * decode, "rectify_ms": 1000 * rectify, "detect_ms": 1000 * network,
+        "track_ms": 1000 * tracking / count,
+    }  # fmt: skip
+    if detector.device.type == "cuda":
+        result["peak_mib"] = torch.cuda.max_memory_allocated() / 2**20
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--threads", type=int, help="of PyTorch")
+    kinds = parser.add_subparsers(dest="kind", required=True)
+    branch = kinds.add_parser("branch")
+    branch.add_argument("--preset", default="paper-640x360")
+    branch.add_argument("--backbone")
+    branch.add_argument("--size", default="640x360")
+    branch.add_argument("--pairs", type=int, default=20)
+    branch.add_argument("--device", default="cpu")
+    stages = kinds.add_parser("stages")
+    stages.add_argument("checkpoint", type=Path)
+    stages.add_argument("source", type=Path)
+    stages.add_argument("--frames", type=int, default=300)
+    stages.add_argument("--device")
+    stages.add_argument("--half", action="store_true", default=None)
+    stages.add_argument("--compile", action="store_true")
+    given = parser.parse_args(arguments)
+    if given.threads:
+        torch.set_num_threads(given.threads)
+    if given.kind == "branch":
+        config = find_preset(given.preset).model
+        config = replace(config, backbone=given.backbone) if given.backbone else config
+        result = benchmark_branch(config, parse_size(given.size), given.pairs, given.device)
+    else:
+        result = benchmark_stages(
+            given.checkpoint, given.source, given.frames, device=given.device, half=given.half, compiled=given.compile
+        )
+    for name, value in result.items():
+        print(f"{name:14} {value:.4g}" if isinstance(value, float) else f"{name:14} {value}")
+    if given.json is not None:
+        given.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
