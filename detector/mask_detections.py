@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from itertools import islice
-from typing import Protocol
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +14,10 @@ from labelgen.errors import RectificationError
 from labelgen.generate.mask_labels import LabelLimits, label_masks
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule
 from labelgen.labels import Labels
-from labelgen.masks import InstanceMasks, MaskSource
-from labelgen.sources.frames import Frame
+from labelgen.masks import InstanceMasks, MaskSource, masked_frames
+from labelgen.sources.frames import Frame, FrameSource, always
 
-__all__ = ["SPEED_LIMITS", "DetectionSource", "MaskDetections", "MaskPlacer"]
+__all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
 
 SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
 """Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
@@ -27,27 +25,6 @@ its foot is where it is, and without it a track would break."""
 
 _WINDOW_MARGIN_PX = 4
 _SMALLEST_WINDOW_PX = 32
-
-
-class DetectionSource(Protocol):
-    """Frames in, detections out.
-
-    Attributes:
-        view: where the detections lie.
-        rejects: how many candidates gave no detection, by reason.
-        problems: what had to be skipped so far, one line each.
-    """
-
-    @property
-    def view(self) -> View: ...
-    @property
-    def rejects(self) -> Counter[str]: ...
-    @property
-    def problems(self) -> list[str]: ...
-
-    def stream(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
-        """Each frame with its detections, in order."""
-        ...
 
 
 class MaskPlacer:
@@ -138,7 +115,7 @@ class MaskPlacer:
 
 
 class MaskDetections:
-    """A mask source as a `DetectionSource`.
+    """A mask source as a `detector.sources.DetectionSource`.
 
     Args:
         masks: where masks come from; primed before, where it wants to be.
@@ -154,17 +131,8 @@ class MaskDetections:
         """What the mask source had to skip so far."""
         return self._masks.problems
 
-    def stream(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
+    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
         """See `DetectionSource.stream`."""
-        frames = iter(frames)
-        stride = self._masks.every_frame
-        # A background model has to be asked in step with what it observes.
-        size = 1 if stride else self._masks.batch_size
-        while batch := list(islice(frames, size)):
-            if stride and batch[0].number % stride == 0:
-                self._masks.observe(batch[0].image)
-            found = self._masks.masks(
-                [frame.image for frame in batch], [frame.number for frame in batch], [frame.name for frame in batch]
-            )
-            for frame, masks in zip(batch, found, strict=True):
+        for frame, masks in masked_frames(frames, self._masks, always):
+            if masks is not None:
                 yield frame, self._placer.place(frame.number, frame.time_s, masks)

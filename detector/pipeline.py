@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 
 from detector.detections import Detections
-from detector.mask_detections import DetectionSource
 from detector.prefetch import prefetch
 from detector.render import AnnotatedVideo
 from detector.results import ResultFiles, ResultWriter
+from detector.sources import DetectionSource
 from detector.speed import SpeedMeter, Vehicle
+from detector.timed_frames import TimedFrames
 from detector.variants import View
-from labelgen.errors import DataError
-from labelgen.sources.frames import Frame, FrameSource
+from labelgen.sources.frames import Frame
 
-__all__ = ["Found", "SpeedSummary", "detect", "measure", "until", "with_frames", "with_times"]
+__all__ = ["Found", "SpeedSummary", "detect", "measure", "with_frames"]
 
-_FRAMES_AHEAD, _DETECTIONS_AHEAD = 6, 4
+_DETECTIONS_AHEAD = 4
 
 Found = tuple[Frame | None, Detections]
 
@@ -75,41 +75,18 @@ class SpeedSummary:
         }
 
 
-def with_times(frames: Iterable[Frame], fps: float | None, name: str) -> Iterator[Frame]:
-    """Frames with time stamps: their own, or by the frame rate where they have none.
-
-    Raises:
-        DataError: neither is known.
-    """
-    for frame in frames:
-        if np.isfinite(frame.time_s):
-            yield frame
-        elif fps is None:
-            raise DataError(f"{name}: its frames have no time stamps, so there are no speeds; give --fps")
-        else:
-            yield Frame(frame.number, frame.number / fps, frame.image, frame.name)
-
-
-def until(frames: Iterable[Frame], duration_s: float | None) -> Iterator[Frame]:
-    """Frames of the first `duration_s` seconds."""
-    for frame in frames:
-        if duration_s is not None and frame.time_s >= duration_s:
-            return
-        yield frame
-
-
-def detect(source: DetectionSource, frames: Iterable[Frame]) -> Iterator[Found]:
+def detect(source: DetectionSource, frames: TimedFrames) -> Iterator[Found]:
     """Frames with their detections; reading and detecting each run ahead in their own thread."""
-    return prefetch(source.stream(prefetch(frames, _FRAMES_AHEAD)), _DETECTIONS_AHEAD)
+    return prefetch(source.stream(frames), _DETECTIONS_AHEAD)
 
 
-def with_frames(lines: Iterable[Detections], frames: FrameSource | None) -> Iterator[Found]:
+def with_frames(lines: Iterable[Detections], frames: TimedFrames | None) -> Iterator[Found]:
     """Detections read from a file, with their frames beside them where there are any; frames without are left out."""
     if frames is None:
         for found in lines:
             yield None, found
         return
-    pictures = prefetch(frames.frames(), _FRAMES_AHEAD)
+    pictures = frames.frames()
     with closing(pictures):  # type: ignore[type-var]
         frame = next(pictures, None)
         for found in lines:

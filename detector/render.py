@@ -43,9 +43,11 @@ def annotate(
         speeds_kmh: speed so far, by track; tracks without one show their number alone.
         trails: measured points so far, by track.
     """
-    scale = max(0.4, 0.4 * image.shape[1] / 800)
     thickness = max(1, round(image.shape[1] / 960))
-    for i, number in enumerate(ids.tolist()):
+    places: list[tuple[int, int]] = []
+    # The nearest first: where names would cover each other, far vehicles go without.
+    for i in np.argsort(-found.feet_px[:, 1]).tolist():
+        number = int(ids[i])
         if number == DUPLICATE:
             continue
         colour = _COLOURS[number % len(_COLOURS)]
@@ -62,8 +64,17 @@ def annotate(
         if np.isfinite(top).all():
             speed = speeds_kmh.get(number, float("nan"))
             text = f"#{number}" + (f" {speed:.0f} km/h" if np.isfinite(speed) else "")
-            x, y = np.clip(top, 0, [image.shape[1] - 60, image.shape[0] - 1])
-            draw_text(image, text, (int(x), max(12, int(y) - 3)), scale, WHITE)
+            _name(image, text, top, places)
+
+
+def _name(image: Picture, text: str, top: Any, places: list[tuple[int, int]]) -> None:
+    """Write a name above a box, unless another one is in the way."""
+    scale = max(0.35, 0.35 * image.shape[1] / 800)
+    width, height = round(len(text) * 19 * scale), round(30 * scale)
+    x, y = (int(v) for v in np.clip(top, [0, height], [image.shape[1] - width, image.shape[0] - 1]))
+    if all(abs(x - u) > width or abs(y - v) > height for u, v in places):
+        draw_text(image, text, (x, y - 3), scale, WHITE)
+        places.append((x, y))
 
 
 class AnnotatedVideo:

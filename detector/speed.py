@@ -2,8 +2,8 @@
 
 A vehicle's speed is the median of the speeds between its points i and i + 5 (the public evaluation protocol), with
 the frames' own time stamps. Its uncertainty is the standard error of that median, from the spread of the same speeds:
-1.2533 * 1.4826 * MAD / sqrt(number of independent gaps). It tells how well the points agree, not how good the
-calibration is.
+1.2533 * 1.4826 * MAD / sqrt(number of gaps that share no points). It suits errors that wander slowly along the track,
+as those of boxes do, and is too careful where each point errs on its own. It knows nothing of the calibration's error.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.detections import Detections
+from detector.fragments import fragments
 from detector.score.brnocompspeed import lanes_of
 from detector.score.ragged import gap_speeds_kmh
 from detector.track import DUPLICATE, IouTracker, TrackRules
@@ -26,6 +27,7 @@ __all__ = ["MeasureRules", "SpeedMeter", "Vehicle", "speed_and_error"]
 
 IntArray = NDArray[np.int64]
 _FULL_HD_WIDTH = 1920
+_LEAST_BORDER_PX = 6.0
 GAP = 5
 # Standard error of a normal sample's median, in standard deviations over sqrt(n), and the latter from the MAD.
 _MEDIAN_ERROR, _MAD_TO_SIGMA = 1.2533, 1.4826
@@ -50,9 +52,12 @@ class MeasureRules:
 
     @classmethod
     def for_frame(cls, frame_wh: tuple[int, int]) -> MeasureRules:
-        """The published rules for frames of any size: the distances scale with the frame's width."""
+        """The published rules for frames of any size: distances scale with the frame's width.
+
+        The border does not go below 6 px, though: masks do not get finer with the frame.
+        """
         share = frame_wh[0] / _FULL_HD_WIDTH
-        return cls(border_px=10.0 * share, min_length_px=100.0 * share)
+        return cls(border_px=max(10.0 * share, _LEAST_BORDER_PX), min_length_px=100.0 * share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +171,7 @@ class SpeedMeter:
 
     Attributes:
         dropped: how many tracks were no vehicles, by reason.
-        duplicates: how many boxes repeated a better one.
+        duplicates: how many boxes repeated a better one, or were parts of a larger one.
     """
 
     def __init__(
@@ -190,13 +195,16 @@ class SpeedMeter:
         """Take in one frame's detections.
 
         Returns:
-            ids (N,), the track of each detection, -1 for duplicates; and the vehicles whose tracks have ended.
+            ids (N,), the track of each detection, -1 for duplicates and fragments; and the vehicles whose tracks
+            have ended.
         """
         tick = found.frame
         if self._fps is not None and np.isfinite(found.time_s):
             tick = round(found.time_s * self._fps)
         self._tick = max(tick, self._tick + 1)
-        ids, ended = self._tracker.update(self._tick, found.boxes_xyxy, found.scores)
+        ids = np.full(len(found), DUPLICATE, dtype=np.int64)
+        own = ~fragments(found)
+        ids[own], ended = self._tracker.update(self._tick, found.boxes_xyxy[own], found.scores[own])
         counts = self._counts(found)
         for i, number in enumerate(ids.tolist()):
             if number == DUPLICATE:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,32 +143,40 @@ class View:
         """
         boxes = np.asarray(boxes_xyxy, dtype=np.float64).reshape(-1, 4)
         n = len(boxes)
-        shares = np.full(n, np.nan) if cc is None else np.asarray(cc, dtype=np.float64).reshape(-1)
         weights = np.ones(n) if scores is None else np.asarray(scores, dtype=np.float64)
         classes = np.zeros(n, dtype=np.uint8) if class_ids is None else np.asarray(class_ids, dtype=np.uint8)
-        valid = np.isfinite(boxes).all(axis=1) & (boxes[:, :2] < boxes[:, 2:]).all(axis=1)
-        vertices = np.full((n, 8, 2), np.nan)
-        if self.variant.from_c_c:
-            assert self.rectification is not None
-            decoded, fits = decode_boxes(boxes, shares, self.rectification.vpu)
-            valid &= fits
-            vertices[valid] = self.to_frame(decoded[valid])
-            front = decoded[:, 4:6]
-        elif self.variant.is_3d and vertices_px is not None:
-            vertices = np.asarray(vertices_px, dtype=np.float64).reshape(-1, 8, 2)
-            front = vertices[:, 4:6]
-        else:
-            front = boxes[:, [0, 3, 2, 3]].reshape(-1, 2, 2)
-        valid &= np.isfinite(front).all(axis=(1, 2))
+        shares, vertices, front = self._boxes_3d(boxes, cc, vertices_px)
+        feet = self._middles(front)
+        solid = np.isfinite(boxes).all(axis=1) & (boxes[:, :2] < boxes[:, 2:]).all(axis=1)
+        valid = np.asarray(solid & np.isfinite(front).all(axis=(1, 2)) & np.isfinite(feet).all(axis=1))
+        found = Detections(
+            frame,
+            time_s,
+            boxes_xyxy=boxes[valid],
+            cc=shares[valid],
+            scores=weights[valid],
+            class_ids=classes[valid],
+            vertices_px=vertices[valid],
+            front_px=self.to_frame(front[valid]),
+            feet_px=feet[valid],
+            whole=self._whole(boxes[valid]),
+        )
+        return found, valid
+
+    def _boxes_3d(self, boxes: Array, cc: Any, vertices_px: Any) -> tuple[Array, Array, Array]:
+        """c_c (N,), 3D boxes (N, 8, 2) in frame px, bottom front edges (N, 2, 2) in the view; NaN for none."""
+        n = len(boxes)
+        unknown, nowhere = np.full(n, np.nan), np.full((n, 8, 2), np.nan)
+        if not self.variant.is_3d:
+            return unknown, nowhere, boxes[:, [0, 3, 2, 3]].reshape(-1, 2, 2)
         if not self.variant.from_c_c:
-            shares = np.full(n, np.nan)
-        feet = self._middles(front[valid])
-        keep = np.isfinite(feet).all(axis=1)
-        valid[valid] = keep
-        return Detections(
-            frame, time_s, boxes[valid], shares[valid], weights[valid], classes[valid], vertices[valid],
-            self.to_frame(front[valid]), feet[keep], self._whole(boxes[valid]),
-        ), valid  # fmt: skip
+            vertices = nowhere if vertices_px is None else np.asarray(vertices_px, dtype=np.float64).reshape(-1, 8, 2)
+            return unknown, vertices, vertices[:, 4:6]
+        assert self.rectification is not None
+        shares = unknown if cc is None else np.asarray(cc, dtype=np.float64).reshape(-1)
+        decoded, fits = decode_boxes(boxes, shares, self.rectification.vpu)
+        decoded[~fits] = np.nan
+        return shares, self.to_frame(decoded), decoded[:, 4:6]
 
     def _middles(self, ends: Array) -> Array:
         """Frame px (N, 2) of the middles of bottom front edges whose ends (N, 2, 2) lie in the view."""

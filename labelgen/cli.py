@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 import typer
 
@@ -73,21 +74,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
     except KeyboardInterrupt:
-        typer.echo("labelgen: interrupted; the same command goes on where it stopped", err=True)
-        sys.exit(130)
+        _interrupted()
+    except OSError as err:
+        # Names too long, loops of links, folders that vanish: whatever no command looked for.
+        where = f" {err.filename}" if err.filename else ""
+        _fail(f"cannot use{where}: {err.strerror or err}")
     except Exception as err:
+        if type(err).__name__ == "Abort":  # what click makes of an interruption
+            _interrupted()
         # Click's own errors, such as an unknown option; anything else is a bug and keeps its traceback.
         message = getattr(err, "format_message", None)
-        if message is not None:
-            context = getattr(err, "ctx", None)
-            hint = f"; see {context.command_path} --help" if context is not None else ""
-            _fail(f"{' '.join(message().split()).rstrip('.')}{hint}")
-        if type(err).__name__ == "Abort":
-            sys.exit(130)
-        raise
+        if message is None:
+            raise
+        context = getattr(err, "ctx", None)
+        hint = f"; see {context.command_path} --help" if context is not None else ""
+        _fail(f"{' '.join(message().split()).rstrip('.')}{hint}")
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _fail(message: str) -> None:
+def _interrupted() -> NoReturn:
+    typer.echo("labelgen: interrupted; the same command goes on where it stopped", err=True)
+    sys.exit(130)
+
+
+def _fail(message: str) -> NoReturn:
     typer.echo(f"labelgen: error: {message}", err=True)
     sys.exit(2)

@@ -29,6 +29,8 @@ _ADVICE = {
     errno.EDQUOT: "disk quota exceeded; free some space, the job goes on where it stopped",
     errno.EFBIG: "file too large for the file system or the set limit",
     errno.EACCES: "permission denied; choose another --out or change its permissions",
+    errno.EMFILE: "too many open files; raise the limit (ulimit -n)",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
     errno.EROFS: "read-only file system; choose another --out",
 }
 
@@ -57,6 +59,11 @@ def write_atomic(path: Path, data: bytes | memoryview) -> None:
         OutputError: the disk is full, the folder not writable, and so on; nothing is left behind.
     """
     with as_output_error(path):
+        if path.is_symlink():
+            path = path.resolve()
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_bytes(data)  # a device or a pipe: it is written to, never replaced
+            return
         handle, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, suffix=".tmp", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -86,7 +93,7 @@ def _sync_folder(folder: Path) -> None:
 
 def write_json(path: Path, data: Any) -> None:
     """Write JSON atomically, keys in the order given."""
-    write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+    write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode("utf-8", "backslashreplace"))
 
 
 def remove_temporary_files(folder: Path) -> None:

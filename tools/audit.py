@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,8 +60,13 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
     data = ShardSet(shards)
     if not any(reader.label_count for reader in data.readers):
         raise DataError(f"{shards[0]}: no label in these shards, there is nothing to look at")
+    kinds = sorted({f"{reader.pair} {reader.attributes['size']}" for reader in data.readers})
+    if len(kinds) > 1:
+        raise DataError(
+            f"these shards are of different pairs or sizes ({', '.join(kinds)}); audit each kind on its own"
+        )
     make_folder(out)
-    originals = Originals(sorted({reader.path.parent for reader in data.readers}))
+    originals = Originals(data)
     audit = Audit(out / "index.html")
     audit.pictures["Labels chosen at random: picture, label, original"] = label_sheets(
         data, originals, out, count=count, seed=seed
@@ -75,11 +81,11 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
 def _explain(data: ShardSet, originals: Originals, out: Path, audit: Audit) -> None:
     """Figures of the steps for the first sample whose original is at hand."""
     sample = data[0]
-    picture = originals.read([sample])[0]
+    picture = originals.read([0])[0]
     if picture is None:
         audit.notes.append("no figure of the rectification: the original of the first sample is not at hand")
         return
-    source = originals.sources.get(sample.source, {})
+    source = originals.place(0)
     road = None
     if source.get("road_mask"):
         try:
@@ -100,11 +106,17 @@ def _explain(data: ShardSet, originals: Originals, out: Path, audit: Audit) -> N
             audit.pictures["Steps from mask to label"] = [save_picture(out / "mask-to-label.png", found)]
 
 
-def _mask_figure(data: ShardSet, source: dict[str, str]) -> NDArray[np.uint8] | str:
+def _mask_figure(data: ShardSet, source: dict[str, Any]) -> NDArray[np.uint8] | str:
     """The figure for the first labelled frame, made with the same mask source; or why there is none."""
     sample = data[0]
     frames = open_frames(Path(source["path"]))
-    masks = create_mask_source(source["masks"], road_mask=read_mask(Path(source["road_mask"])), frame_wh=frames.size_wh)
+    masks = create_mask_source(
+        source["masks"],
+        weights=source.get("weights"),
+        score_threshold=float(data.readers[0].settings.get("score", 0.5)),
+        road_mask=read_mask(Path(source["road_mask"])),
+        frame_wh=frames.size_wh,
+    )
     prime_masks(masks, frames)
     rule = Rule.parse(str(data.readers[0].settings.get("rule", Rule.WIDER)))
     for frame, found in masked_frames(frames, masks, lambda number: number == sample.frame):
@@ -127,7 +139,7 @@ def _write_page(data: ShardSet, audit: Audit) -> None:
         ("rejects", summary.rejects),
         *((f"&nbsp;&nbsp;{html.escape(reason)}", count) for reason, count in summary.reasons.most_common()),
         ("pair and size", f"{data.readers[0].pair} {data.readers[0].attributes['size']}"),
-        ("settings", html.escape(data.readers[0].attributes["settings"])),
+        *(("settings", html.escape(text)) for text in sorted({r.attributes["settings"] for r in data.readers})),
     ]
     parts = [f"<!doctype html><meta charset=utf-8><title>labelgen audit</title><style>{_STYLE}</style>"]
     parts.append("<h1>labelgen audit</h1>")

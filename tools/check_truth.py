@@ -78,9 +78,10 @@ def main(
             typer.echo(f"{session.name}: no unhidden vehicle lies inside the picture")
             continue
         typer.echo(
-            f"{session.name}: {count} vehicles; mask inside the box by >= 99.5 %: {np.mean(found['inside'] >= 0.995):.2%} "
-            f"(least {found['inside'].min():.2%}); mask's bounding box within 2 px of the mesh's: "
-            f"{np.mean(found['outline'] <= 2):.2%}; of the 3D box's: {np.mean(found['sides'] <= 2):.2%}"
+            f"{session.name}: {count} vehicles; mask inside the box by >= 99.5 %: "
+            f"{np.mean(found['inside'] >= 0.995):.2%} (least {found['inside'].min():.2%}); "
+            f"mask's bounding box within 2 px of the mesh's: {np.mean(found['outline'] <= 2):.2%}; "
+            f"of the 3D box's: {np.mean(found['sides'] <= 2):.2%}"
         )
 
 

@@ -58,7 +58,7 @@ def label_sheets(
     """
     picked = pick_labels(data, count, seed)
     samples = {number: data[number] for number, _ in picked}
-    pictures = dict(zip(samples, originals.read(list(samples.values())), strict=True))
+    pictures = dict(zip(samples, originals.read(list(samples)), strict=True))
     tiles = [_label_tile(samples[number], label, pictures[number], f"{i}") for i, (number, label) in enumerate(picked)]
     return _write_sheets(tiles, out, "labels", per_sheet, 2)
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import (
     Camera,
+    Outline,
     Pair,
     Rectification,
     RoadMask,
@@ -28,6 +29,7 @@ from labelgen.geometry import (
     decode_boxes,
     encode_boxes,
     label_outlines,
+    mask_outline,
     rectified_outline,
     road_cuboids,
 )
@@ -170,11 +172,16 @@ def rasterise(vertices_px: NDArray[np.float64]) -> tuple[NDArray[np.bool_], tupl
     return (x >= left[:, None]) & (x < right[:, None]), (int(low[0]), int(low[1]))
 
 
-def measure(boxes: SolidBoxes, rect: Rectification, oversample: int | None = None) -> dict[Rule, Accuracy]:
-    """Errors of the labels from the boxes' masks, by either rule; `oversample` None is the default."""
-    options = {} if oversample is None else {"oversample": oversample}
+def published_outline(rect: Rectification, mask: NDArray[np.bool_], origin_px: tuple[int, int]) -> Outline | None:
+    """Outline by the published method: the mask's pixels rectified, then outlined."""
+    return mask_outline(rect.warp_mask(mask, origin_px=origin_px))
+
+
+def measure(boxes: SolidBoxes, rect: Rectification, *, published: bool = False) -> dict[Rule, Accuracy]:
+    """Errors of the labels from the boxes' masks by either rule; `published` rectifies pixels instead of hulls."""
+    outline_of = published_outline if published else rectified_outline
     drawn = (rasterise(vertices) for vertices in boxes.vertices_px)
-    outlines = [rectified_outline(rect, mask, origin, **options) for mask, origin in drawn]
+    outlines = [outline_of(rect, mask, origin) for mask, origin in drawn]
     there = np.array([outline is not None for outline in outlines])
     found = [outline for outline in outlines if outline is not None]
     out = {}
@@ -206,13 +213,13 @@ class Row:
         return bool(np.percentile(errors, 99) <= P99_BOUND)
 
 
-def measure_scenes(scenes: list[Scene], count: int, oversample: int | None = None, seed: int = 0) -> Iterator[Row]:
+def measure_scenes(scenes: list[Scene], count: int, *, published: bool = False, seed: int = 0) -> Iterator[Row]:
     """`measure` for every pair and scene; a generator, as each takes a fraction of a second."""
     for pair, size in SIZES.items():
         for scene in scenes:
             rect = Rectification.from_road_mask(scene.camera, scene.road, pair, size)
             boxes = sample_boxes(scene, rect, count, seed)
-            yield Row(scene.name, pair, boxes, measure(boxes, rect, oversample))
+            yield Row(scene.name, pair, boxes, measure(boxes, rect, published=published))
 
 
 # -- the page ------------------------------------------------------------------------------------------
@@ -233,8 +240,8 @@ corners. Sizes of the rectified image: {_SIZES}.
   at the far end of a VP1-VP2 picture a frame pixel is more than a pixel high.
 - **wider** is the published rule: of the two candidates the one that gives the wider box. **conditioned** weights the
   two by how little a shift of the tangent point moves them.
-- **fine raster** (the default) rectifies a mask onto a grid up to four times finer than the image; **published
-  raster** (`oversample=1`) is the image's own grid.
+- **hull** (what labelgen does) rectifies the convex hull of the mask's pixels, so that nothing is rounded to the
+  rectified grid; **pixels** (the published method) rectifies the mask itself and outlines what comes out.
 - **no label** counts boxes left out because no label exists for them: VPU lies between their top and bottom, so
   decoding calls them invalid (session5_left, where the point below the camera is all but in the picture). They are
   not part of n.
@@ -271,17 +278,17 @@ def _scene_table(rows: list[Row]) -> str:
 def _summary_table(measured: dict[str, list[Row]]) -> str:
     body = []
     for pair in Pair:
-        for raster, rows in measured.items():
+        for method, rows in measured.items():
             of_pair = [row for row in rows if row.pair is pair]
             for rule in Rule:
                 pooled = np.concatenate([row.accuracy[rule].cc for row in of_pair])
                 worst = max(float(np.percentile(row.accuracy[rule].cc, 99)) for row in of_pair)
                 kept = f"{sum(row.keeps_bound(rule) for row in of_pair)} of {len(of_pair)}"
-                body.append([str(pair), raster, str(rule), str(len(pooled)), *_stats(pooled, 4, 50, 95, 99)])
+                body.append([str(pair), method, str(rule), str(len(pooled)), *_stats(pooled, 4, 50, 95, 99)])
                 body[-1] += [f"{worst:.4f}", kept]
     header = [
         "pair",
-        "raster",
+        "from",
         "rule",
         "n",
         "median",
@@ -294,31 +301,31 @@ def _summary_table(measured: dict[str, list[Row]]) -> str:
 
 
 def _verdict(measured: dict[str, list[Row]]) -> str:
-    """Which raster and which rule came out better, from the pooled errors."""
+    """Which method and which rule came out better, from the pooled errors."""
     pooled = {
-        (raster, rule): np.concatenate([row.accuracy[rule].cc for row in rows])
-        for raster, rows in measured.items()
+        (method, rule): np.concatenate([row.accuracy[rule].cc for row in rows])
+        for method, rows in measured.items()
         for rule in Rule
     }
     median = min(pooled, key=lambda key: float(np.median(pooled[key])))
     tail = min(pooled, key=lambda key: float(np.percentile(pooled[key], 99)))
     return (
         "On solid boxes, over all scenes and both pairs, "
-        f"the lowest median comes from `{median[1]}` on the {median[0]} raster,\n"
-        f"the lowest 99th percentile from `{tail[1]}` on the {tail[0]} raster.\n"
+        f"the lowest median comes from `{median[1]}` from the {median[0]},\n"
+        f"the lowest 99th percentile from `{tail[1]}` from the {tail[0]}.\n"
     )
 
 
 def page(scenes: list[Scene], count: int, seed: int = 0) -> str:
     """The whole page as Markdown."""
     measured = {
-        "fine": list(measure_scenes(scenes, count, seed=seed)),
-        "published": list(measure_scenes(scenes, count, oversample=1, seed=seed)),
+        "hull": list(measure_scenes(scenes, count, seed=seed)),
+        "pixels": list(measure_scenes(scenes, count, published=True, seed=seed)),
     }
     parts = [_INTRODUCTION, "## Result\n", _verdict(measured), _summary_table(measured)]
-    for raster, rows in measured.items():
+    for method, rows in measured.items():
         for pair in Pair:
-            parts += [f"## {pair}, {raster} raster\n", _scene_table([row for row in rows if row.pair is pair])]
+            parts += [f"## {pair}, from the {method}\n", _scene_table([row for row in rows if row.pair is pair])]
     parts.append(f"Made by `python -m tools.label_accuracy --count {count} --seed {seed}`.\n")
     return "\n".join(parts)
 

@@ -82,7 +82,9 @@ def main(
     for place, k in enumerate(order.tolist()):
         crop, kind = tiles[k]
         scale = (side - 10) / max(crop.shape[:2])
-        picture = cv2.resize(crop, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+        picture = cv2.resize(
+            crop, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        )
         y, x = place // across * side, place % across * side
         sheet[y : y + picture.shape[0], x : x + picture.shape[1]] = picture
         cv2.putText(sheet, str(place + 1), (x + 6, y + side - 12), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1)

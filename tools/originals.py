@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import LabelgenError
-from labelgen.labels import Sample
+from labelgen.errors import DataError, LabelgenError
+from labelgen.shards import ShardSet
 from labelgen.shards.index import read_index
 from labelgen.sources.frames import open_frames
+from labelgen.sources.image_file import read_image
 
 __all__ = ["Originals"]
 
@@ -22,29 +22,37 @@ class Originals:
     """Original pictures of samples, from the places that dataset.json remembers.
 
     Args:
-        folders: folders of shards.
+        data: the shards.
     """
 
-    def __init__(self, folders: Sequence[Path]) -> None:
-        self.sources: dict[str, dict[str, Any]] = {}
-        for folder in folders:
+    def __init__(self, data: ShardSet) -> None:
+        self._data = data
+        self._places: dict[Path, dict[str, Any]] = {}
+        for folder in {reader.path.parent for reader in data.readers}:
             try:
-                self.sources.update(read_index(folder).get("sources", {}))
+                entries = read_index(folder)["shards"]
             except LabelgenError:
                 continue  # shards without an index: their labels are shown all the same
+            self._places.update({folder / entry["name"]: entry.get("original", {}) for entry in entries})
 
-    def read(self, samples: Sequence[Sample]) -> list[NDArray[np.uint8] | None]:
+    def place(self, index: int) -> dict[str, Any]:
+        """Where the original of a sample lies: path, calibration, road_mask, masks; or images; empty if unknown."""
+        return self._places.get(self._data.locate(index)[0].path, {})
+
+    def read(self, indices: Sequence[int]) -> list[NDArray[np.uint8] | None]:
         """The picture of each sample's window, or None. Videos are decoded once, in order."""
-        found: list[NDArray[np.uint8] | None] = [None] * len(samples)
-        videos: dict[str, dict[int, list[int]]] = {}
-        for i, sample in enumerate(samples):
-            if sample.source in self.sources:
-                videos.setdefault(sample.source, {}).setdefault(sample.frame, []).append(i)
-            elif (images := self.sources.get("images")) is not None:
-                picture = cv2.imread(str(Path(images["path"]) / sample.source), cv2.IMREAD_COLOR)
-                found[i] = None if picture is None else np.asarray(picture, dtype=np.uint8)
-        for name, wanted in videos.items():
-            path = Path(self.sources[name]["path"])
+        found: list[NDArray[np.uint8] | None] = [None] * len(indices)
+        videos: dict[Path, dict[int, list[int]]] = {}
+        for i, index in enumerate(indices):
+            place, sample = self.place(index), self._data[index]
+            if "path" in place:
+                videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(i)
+            elif "images" in place:
+                try:
+                    found[i] = read_image(Path(place["images"]) / sample.source)
+                except DataError:
+                    continue  # moved since: the label is shown without its original
+        for path, wanted in videos.items():
             if not path.exists():
                 continue
             last = max(wanted)

@@ -19,8 +19,6 @@ _PICTURES = {
     "labels.jpg": "audit/masks/labels-01.png",
     "mask-to-label.jpg": "audit/masks/mask-to-label.png",
     "rectification.jpg": "audit/masks/rectification.png",
-    "boxcars.jpg": "audit/boxcars/labels-00.png",
-    "statistics.jpg": "audit/masks/statistics.png",
 }
 _WIDTH = 1200
 

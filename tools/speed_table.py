@@ -137,6 +137,7 @@ def measure_session(
     seed: int = 0,
     start_s: float | None = None,
     rule: Rule = Rule.WIDER,
+    kinds: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Replay a session's traffic and score every variant.
 
@@ -145,7 +146,8 @@ def measure_session(
     """
     begin = perf_counter()
     scene, light, surveyed = load_scene(session, Weather.OVERCAST, np.random.default_rng([seed, 1]))
-    trips = [_steady(trip) for trip in replayed_traffic(scene, surveyed, duration_s, seed, start_s=start_s)]
+    replayed = replayed_traffic(scene, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+    trips = [_steady(trip) for trip in replayed]
     assert scene.background is not None
     renderer = Renderer(scene.camera, scene.background, light, seed=seed)
     lanes, impossible = _lanes(scene.camera, RoadMask(scene.road_mask), fps, rule)
@@ -200,9 +202,10 @@ def _offsets(camera: Camera, found: Detections, trips: Sequence[Trip], time_s: f
 
 def _exact(tracks: dict[int, dict[str, Any]], scene: Scene, trips: Sequence[Trip], number: int, time_s: float) -> None:
     """The true measured points of a frame: what the protocol makes of tracks without any error."""
+    size = np.asarray(scene.camera.image_wh)
     for trip in trips:
         point = scene.camera.project(trip.near_point(time_s))
-        if np.isfinite(point).all() and (point > 0).all() and (point < scene.camera.image_wh).all():
+        if np.isfinite(point).all() and (point > 0).all() and (point < size).all():
             car = tracks.setdefault(trip.track_id, {"id": trip.track_id, "frames": [], "posX": [], "posY": []})
             car["frames"].append(number)
             car["posX"].append(float(point[0]))
@@ -282,11 +285,14 @@ def measure(
     seed: Annotated[int, typer.Option(help="What the vehicles look like.")] = 0,
     start: Annotated[float | None, typer.Option(help="Second of the recording to begin at.")] = None,
     rule: Annotated[str, typer.Option(help="wider or conditioned.")] = "wider",
+    kind: Annotated[str | None, typer.Option(help="Only this kind of vehicle; box: solid cuboids.")] = None,
 ) -> None:
     """Measure sessions and write their figures."""
     make_folder(out)
     for session in sessions:
-        part = measure_session(session, duration, fps, seed=seed, start_s=start, rule=Rule.parse(rule))
+        part = measure_session(
+            session, duration, fps, seed=seed, start_s=start, rule=Rule.parse(rule), kinds=kind and [kind]
+        )
         write_json(out / f"{part['session']}.json", part)
         typer.echo(format_tables([part]))
         typer.echo(f"{part['seconds']} s")
@@ -296,14 +302,21 @@ def measure(
 def write(
     folder: Annotated[Path, typer.Argument(help="Folder that `measure` wrote.")],
     page: Annotated[Path, typer.Argument(help="Markdown page; what stands above its line '## Result' is kept.")],
+    cuboids: Annotated[Path | None, typer.Option(help="Folder that `measure --kind box` wrote.")] = None,
 ) -> None:
     """Put the tables into a page."""
+    above = page.read_text(encoding="utf-8").split("## Result\n")[0] if page.exists() else ""
+    text = f"{above}## Result\n\n{format_tables(_read(folder))}"
+    if cuboids is not None:
+        text += f"\n## Solid cuboids in place of vehicles\n\n{format_tables(_read(cuboids))}"
+    page.write_text(text, encoding="utf-8")
+
+
+def _read(folder: Path) -> list[dict[str, Any]]:
     paths = sorted(folder.glob("*.json"))
     if not paths:
         raise DataError(f"{folder}: no figures there; run `measure` first")
-    parts = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-    above = page.read_text(encoding="utf-8").split("## Result\n")[0] if page.exists() else ""
-    page.write_text(f"{above}## Result\n\n{format_tables(parts)}", encoding="utf-8")
+    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
 
 
 if __name__ == "__main__":

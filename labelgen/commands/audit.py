@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labelgen.commands.common import JsonOption, OverwriteOption, print_table, write_json_report
+from labelgen.commands.common import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
 
 __all__ = ["audit"]
 
@@ -24,6 +24,7 @@ def audit(
     from labelgen.errors import OutputError
     from tools.audit import make_audit
 
+    check_report_path(json_file)
     page = out / "index.html"
     if page.exists() and not overwrite:
         raise OutputError(f"--out {out}: it already holds an audit; add --overwrite or choose another folder")

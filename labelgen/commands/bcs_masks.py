@@ -16,6 +16,7 @@ from labelgen.commands.common import (
     RoadMaskOption,
     SceneSizeOption,
     WorkersOption,
+    check_report_path,
     show_summary,
 )
 
@@ -41,7 +42,10 @@ def bcs_masks(
     rule: Annotated[
         str, typer.Option("--rule", metavar="RULE", help="How c_c's two candidates become one: wider or conditioned.")
     ] = "wider",
-    every: Annotated[int, typer.Option("--every", min=1, metavar="N", help="Take every N-th frame.")] = 25,
+    every: Annotated[
+        int | None,
+        typer.Option("--every", min=1, metavar="N", help="Take every N-th frame; 25 by default."),
+    ] = None,
     pair: PairOption = "VP2-VP3",
     size: SceneSizeOption = None,
     limit: Annotated[
@@ -75,10 +79,12 @@ def bcs_masks(
     from labelgen.manifest import load_manifest
     from labelgen.sources.scenes import find_scene
 
+    check_report_path(json_file)
     chosen_pair = Pair.parse(pair)
-    size_wh = parse_size(size or load_manifest("brnocompspeed")["sizes"][str(chosen_pair)])
+    manifest = load_manifest("brnocompspeed")
+    size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])
     scenes = [find_scene(path, calibration=calibration, road_mask=road_mask) for path in inputs]
-    names = {scene.name for scene in scenes}
+    names = [scene.name for scene in scenes]
     if out is None:
         if len(names) > 1:
             raise LabelgenError("several inputs: name the folder for their common shards with --out DIR")
@@ -91,12 +97,10 @@ def bcs_masks(
         chosen_pair,
         size_wh,
         settings,
-        every=every,
+        every=every or manifest["labels"]["every"],
         limit=limit,
         per_shard=per_shard,
         codec=ImageCodec(quality or None),
     )
     summary = run_job(job, out, overwrite=overwrite, workers=workers)
-    show_summary(
-        f"Mask labels of {', '.join(sorted(names))}, {chosen_pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file
-    )
+    show_summary(f"Mask labels of {', '.join(names)}, {chosen_pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)

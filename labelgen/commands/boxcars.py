@@ -13,6 +13,7 @@ from labelgen.commands.common import (
     PairOption,
     QualityOption,
     WorkersOption,
+    check_report_path,
     show_summary,
 )
 
@@ -61,6 +62,7 @@ def boxcars(
     from labelgen.manifest import find_root, load_manifest
     from labelgen.sources.boxcars import BoxCars
 
+    check_report_path(json_file)
     manifest = load_manifest("boxcars116k")
     chosen_pair = Pair.parse(pair)
     size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])

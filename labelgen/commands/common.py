@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from labelgen.files import write_atomic
+from labelgen.errors import OutputError
+from labelgen.files import write_json
 from labelgen.shards.index import DatasetSummary
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "RoadMaskOption",
     "SceneSizeOption",
     "WorkersOption",
+    "check_report_path",
     "print_table",
     "show_summary",
     "write_json_report",
@@ -61,10 +63,22 @@ def print_table(rows: list[tuple[str, Any]]) -> None:
         typer.echo(f"  {name:<{width}}  {value}")
 
 
+def check_report_path(path: Path | None, *others: Path | None) -> None:
+    """Refuse a --json that could not be written after all the work, or that is another output's file."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise OutputError(f"--json {path}: it is a folder; name a file")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise OutputError(f"--json {path}: its folder is missing or cannot be written; choose another file")
+    if any(other is not None and other.resolve() == path.resolve() for other in others):
+        raise OutputError(f"--json {path}: it is the output itself; choose another file")
+
+
 def write_json_report(path: Path | None, data: Any) -> None:
     """Write --json, if asked for."""
     if path is not None:
-        write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+        write_json(path, data)
 
 
 def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_file: Path | None) -> None:

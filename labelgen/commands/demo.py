@@ -30,6 +30,7 @@ def demo(
     from labelgen.geometry.rectification import parse_size
     from labelgen.manifest import load_manifest
     from labelgen.synth.boxcars_tree import write_boxcars_tree
+    from labelgen.synth.light import Weather
     from labelgen.synth.session import write_session
 
     plan = load_manifest("demo")
@@ -48,6 +49,7 @@ def demo(
         fps=clip["fps"],
         size_wh=parse_size(clip["size"]),
         seed=clip["seed"],
+        weather=Weather.parse(clip["weather"]),
         overwrite=True,
         progress=True,
     )

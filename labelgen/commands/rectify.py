@@ -14,6 +14,7 @@ from labelgen.commands.common import (
     PairOption,
     RoadMaskOption,
     SceneSizeOption,
+    check_report_path,
     print_table,
     write_json_report,
 )
@@ -48,6 +49,7 @@ def rectify(
     from labelgen.sources.pictures import read_picture
     from labelgen.sources.scenes import find_scene
 
+    check_report_path(json_file, out)
     chosen_pair = Pair.parse(pair)
     size_wh = parse_size(size or load_manifest("brnocompspeed")["sizes"][str(chosen_pair)])
     if cover not in ("frame", "mask"):

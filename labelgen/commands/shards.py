@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from labelgen.commands.common import JsonOption, OverwriteOption, print_table, show_summary, write_json_report
+from labelgen.commands.common import (
+    JsonOption,
+    OverwriteOption,
+    check_report_path,
+    print_table,
+    show_summary,
+    write_json_report,
+)
 
 __all__ = ["inspect", "merge", "validate"]
 
@@ -21,8 +29,10 @@ def inspect(shards: ShardsArgument, json_file: JsonOption = None) -> None:
     from labelgen.labels import Flag, Split, VehicleClass
     from labelgen.shards import ShardSet, summarise
 
+    check_report_path(json_file)
     data = ShardSet(shards)
     summary = summarise(data.readers)
+    summary.warnings += _unfinished(shards)
     first = data.readers[0]
     boxes, cc = data.table("labels/box"), data.table("labels/cc")
     flags, classes, splits = data.table("labels/flags"), data.table("labels/class"), data.table("samples/split")
@@ -42,7 +52,7 @@ def inspect(shards: ShardsArgument, json_file: JsonOption = None) -> None:
         "size": sorted({reader.attributes["size"] for reader in data.readers}),
         "format": f"{first.attributes['format']} {first.attributes['version']} by {first.attributes['producer']}",
         "cameras": sorted({camera.name for reader in data.readers for camera in reader.cameras}),
-        "settings": first.settings,
+        "settings": _distinct(reader.settings for reader in data.readers),
         "classes": {c.name.lower(): n for c in VehicleClass if (n := int((classes == c).sum()))},
         "flags": {f.name.lower(): n for f in Flag if f.name and (n := int(((flags & f.value) != 0).sum()))},
         "splits": {s.name.lower(): n for s in Split if (n := int((splits == s).sum()))},
@@ -52,6 +62,15 @@ def inspect(shards: ShardsArgument, json_file: JsonOption = None) -> None:
     typer.echo("spread of the labels")
     print_table([(name, "  ".join(f"{k} {v:g}" for k, v in values.items())) for name, values in percentiles.items()])
     write_json_report(json_file, {**summary.to_dict(), **details, "spread": percentiles})
+
+
+def _distinct(settings: Iterable[dict[str, Any]]) -> Any:
+    """The settings all shards share, or the list of those there are."""
+    found: list[dict[str, Any]] = []
+    for one in settings:
+        if one not in found:
+            found.append(one)
+    return found[0] if len(found) == 1 else found
 
 
 def _plain(value: Any) -> str:
@@ -67,12 +86,14 @@ def validate(shards: ShardsArgument, json_file: JsonOption = None) -> None:
     """
     from labelgen.shards import validate_shards
 
+    check_report_path(json_file)
     problems = validate_shards(shards)
     broken = {str(path): found for path, found in problems.items() if found}
     files = [path for path in problems if path.suffix == ".h5"]
     for path, found in broken.items():
         for problem in found:
-            typer.echo(f"{path}: {problem}", err=True)
+            said = problem.removeprefix(f"{path}: ")
+            typer.echo(f"labelgen: error: {path}: {said}", err=True)
     report = {"shards": len(files), "valid": not broken, "problems": broken}
     write_json_report(json_file, report)
     if broken:
@@ -88,14 +109,28 @@ def merge(
 ) -> None:
     """Put shards of several data sets into one folder with a common index. Their content stays as it is."""
     from labelgen.errors import OutputError
-    from labelgen.generate.runner import clear_output
+    from labelgen.generate.staging import Staging
     from labelgen.shards import find_shards, merge_shards
 
     sources = find_shards(shards)
     if any(path.resolve().parent == out.resolve() for path in sources):
         raise OutputError(f"--out {out}: it is one of the folders to merge; choose another")
-    if out.exists() and any(out.glob("shard-*.h5")):
-        if not overwrite:
-            raise OutputError(f"--out {out}: it already holds shards; add --overwrite or choose another folder")
-        clear_output(out, keep_job=True)
-    show_summary("Merged", merge_shards(shards, out), out, json_file)
+    check_report_path(json_file)
+    job = {"command": "merge", "inputs": [str(path) for path in sources]}
+    with Staging(out, job, overwrite=overwrite) as staging:
+        try:
+            summary = merge_shards(shards, staging.path)
+            staging.publish()
+        except BaseException:
+            staging.discard()
+            raise
+    summary.warnings += _unfinished(shards)
+    show_summary("Merged", summary, out, json_file)
+
+
+def _unfinished(paths: list[Path]) -> list[str]:
+    """A note for each folder without an index: its data set may not be whole."""
+    from labelgen.shards.index import INDEX_NAME
+
+    bare = [path for path in paths if path.is_dir() and not (path / INDEX_NAME).exists()]
+    return [f"{path}: no {INDEX_NAME}, so this data set may not be complete" for path in bare]

@@ -22,14 +22,15 @@ from labelgen.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from detector.mask_detections import DetectionSource
     from detector.pipeline import Found, SpeedSummary
     from detector.results import ResultFiles
+    from detector.sources import DetectionSource
+    from detector.timed_frames import TimedFrames
     from detector.variants import View
     from labelgen.geometry import Camera, RoadMask
     from labelgen.geometry.projective import Array
     from labelgen.masks import MaskSource
-    from labelgen.sources.frames import FrameSource
+    from labelgen.sources.frames import Frame, FrameSource
 
 __all__ = ["speed"]
 
@@ -78,6 +79,10 @@ def speed(
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.001, metavar="S", help="Stop after S seconds of the video.")
     ] = None,
+    stall: Annotated[
+        float,
+        typer.Option("--stall", min=0.1, metavar="S", help="A stream that sends nothing for S seconds is given up."),
+    ] = 10.0,
     render: Annotated[
         bool, typer.Option("--render", help="Write a video with 3D boxes, track numbers, speeds.")
     ] = False,
@@ -94,7 +99,7 @@ def speed(
     from detector.speed import SpeedMeter
 
     chosen = _Options(
-        source, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration
+        source, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration, stall
     )
     kind, _, argument = from_.partition(":")
     job = _from_file(chosen, Path(argument), render) if kind == "detections" else _from_frames(chosen, kind, argument)
@@ -133,6 +138,7 @@ class _Options:
     device: str | None
     fps: float | None
     duration: float | None
+    stall: float
 
 
 @dataclass(frozen=True)
@@ -159,12 +165,12 @@ class _Job:
 
 def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
     from detector.mask_detections import MaskDetections, MaskPlacer
-    from detector.pipeline import detect, until, with_times
+    from detector.pipeline import detect
     from detector.variants import Variant, View
     from labelgen.errors import LabelgenError
     from labelgen.geometry import Pair, Rule, parse_size
     from labelgen.manifest import load_manifest
-    from labelgen.masks import create_mask_source
+    from labelgen.masks import create_mask_source, prime_masks
 
     if kind == "model":
         raise LabelgenError(
@@ -178,6 +184,7 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
     chosen, pair = Variant.parse(options.variant or "transform3d"), Pair.parse(options.pair or "VP2-VP3")
     rule = Rule.parse(options.rule)
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
+    is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
     view = View.create(chosen, camera, road, pair, size_wh)
     masks = create_mask_source(
@@ -185,17 +192,15 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
         device=options.device, frame_wh=frames.size_wh,
     )  # fmt: skip
     detector = MaskDetections(masks, MaskPlacer(view, road, pair, rule))
-    fps = frames.fps or rate
+    timed = _timed(frames, masks, frames.fps or rate, options.duration)
 
     def found() -> Iterator[Found]:
-        stamped = with_times(_primed(masks, frames, options.duration), fps, options.source)
-        return detect(detector, until(stamped, options.duration))
+        if not is_url:
+            prime_masks(masks, frames)
+        return detect(detector, timed)
 
-    expected = frames.frame_count
-    if options.duration and fps:
-        expected = min(expected or 10**9, round(options.duration * fps))
     return _Job(
-        frames.name if _is_url(options) else _name(options.source), view, fps, frames, detector, found, expected
+        frames.name if is_url else _name(options.source), view, timed.fps, frames, detector, found, timed.frame_count
     )
 
 
@@ -224,7 +229,7 @@ def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | Non
         road = RoadMask(read_mask(options.road_mask))
         # What can be wrong on this side is found out before the camera is bothered.
         Camera.load(options.calibration, image_wh=road.size_wh)
-        stream = VideoStream(options.source, duration_s=options.duration)
+        stream = VideoStream(options.source, duration_s=options.duration, stall_s=options.stall)
         return stream, Camera.load(options.calibration, image_wh=stream.size_wh), road, options.fps
     scene = find_scene(Path(options.source), calibration=options.calibration, road_mask=options.road_mask)
     assert scene.frames_path is not None
@@ -232,30 +237,25 @@ def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | Non
     return frames, scene.camera(frames.size_wh), scene.road(), options.fps or scene.fps
 
 
-def _primed(masks: MaskSource, frames: FrameSource, duration: float | None) -> Iterator[Any]:
-    """The frames, after the mask source has learnt from the first of them what it wants to.
-
-    A file is begun anew afterwards. A stream cannot be: its first seconds are only learnt from.
-    """
+def _timed(frames: FrameSource, masks: MaskSource, fps: float | None, duration: float | None) -> TimedFrames:
+    """The frames to measure. Of a stream, the first seconds are only learnt from where the mask source wants to."""
+    from detector.timed_frames import TimedFrames
     from labelgen.sources.stream import VideoStream
 
-    stride = masks.every_frame
-    if not masks.prime_frames:
-        yield from frames.frames()
-    elif isinstance(frames, VideoStream):
-        warm_up = min(_WARM_UP_S, _WARM_UP_SHARE * duration) if duration else _WARM_UP_S
-        coming = frames.frames()
+    if not (isinstance(frames, VideoStream) and masks.prime_frames):
+        return TimedFrames(frames, fps=fps, duration_s=duration)
+    warm_up = _WARM_UP_S if duration is None else min(_WARM_UP_S, _WARM_UP_SHARE * duration)
+
+    def learn(coming: Iterator[Frame]) -> None:
         masks.prime(frame.image for frame in takewhile(lambda frame: frame.time_s < warm_up, coming))
-        yield from coming
-    else:
-        first = frames.frames(lambda number: number % stride == 0)
-        masks.prime(frame.image for frame in takewhile(lambda frame: frame.number < masks.prime_frames, first))
-        yield from frames.frames()
+
+    return TimedFrames(frames, fps=fps, duration_s=duration, lead_in=learn)
 
 
 def _from_file(options: _Options, path: Path, render: bool) -> _Job:
     from detector.detection_file import DetectionFile
     from detector.pipeline import with_frames
+    from detector.timed_frames import TimedFrames
     from labelgen.errors import LabelgenError
     from labelgen.sources.frames import open_frames
     from labelgen.sources.scenes import find_scene
@@ -268,7 +268,8 @@ def _from_file(options: _Options, path: Path, render: bool) -> _Job:
         Path(options.source), calibration=options.calibration, road_mask=options.road_mask, need_frames=render
     )
     view = file.view(scene.camera(file.frame_wh))
-    frames = open_frames(scene.frames_path) if render and scene.frames_path is not None else None
+    fps = file.fps or options.fps or scene.fps
+    frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if render and scene.frames_path is not None else None
     duration = options.duration
 
     def found() -> Iterator[Found]:
@@ -276,7 +277,7 @@ def _from_file(options: _Options, path: Path, render: bool) -> _Job:
         kept = lines if duration is None else takewhile(lambda line: not line.time_s >= duration, lines)
         return with_frames(kept, frames)
 
-    return _Job(_name(options.source), view, file.fps or options.fps, frames, None, found, None)
+    return _Job(_name(options.source), view, fps, frames, None, found, None)
 
 
 def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
@@ -297,9 +298,13 @@ def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
 
 
 def _bar(job: _Job) -> AbstractContextManager[Any]:
+    import sys
+
     from tqdm import tqdm
 
-    return tqdm(total=job.expected, desc=job.name, unit="frame", mininterval=1.0)
+    interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line now and then
+    bar: AbstractContextManager[Any] = tqdm(total=job.expected, desc=job.name, unit="frame", mininterval=interval)
+    return bar
 
 
 def _say_what_is_there(files: ResultFiles) -> None:

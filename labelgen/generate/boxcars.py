@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from labelgen.sources.boxcars import BoxCars, Instance
 
 __all__ = ["BoxCarsUnit", "boxcars_job"]
 
+_SOURCE = "boxcars116k"
 _CHUNK = 64
 # A decoded box further than this share of its size from the annotated one is flagged as misaligned.
 _MISALIGNED = 0.02
@@ -30,6 +32,10 @@ _MISALIGNED = 0.02
 _UNUSABLE = 0.25
 # c_c this close to 0 or 1 is a box without depth or without height: no vehicle.
 _FLAT = 1e-3
+# A crop with a side of fewer px shows no vehicle.
+_SMALLEST = 8
+# A label with less than this share of its box inside the picture is of something else than the picture shows.
+_INSIDE = 0.5
 
 
 def boxcars_job(
@@ -89,19 +95,29 @@ def boxcars_job(
         "pair": str(pair),
         "size": f"{size_wh[0]}x{size_wh[1]}",
         "cameras": None if cameras is None else sorted(cameras),
+        "split": data.split_name,
         "to_camera_only": to_camera_only,
         "limit": limit,
         "per_shard": per_shard,
         **settings,
     }
-    digest = hashlib.sha256(data.annotations.read_bytes()).hexdigest()
     inputs = {
         "root": data.root.name,
-        data.annotations.name: digest,
+        data.annotations.name: _digest(data.annotations),
         "pictures": "atlas" if data.from_atlas else "images",
     }
-    sources = {} if data.from_atlas else {"images": {"path": str(data.images.resolve())}}
-    return Job("boxcars", chosen, inputs, units, sources)
+    if data.splits is not None:
+        inputs[data.splits.name] = _digest(data.splits)
+    if data.atlas is not None:
+        inputs[data.atlas.name] = f"{data.atlas.stat().st_size} {_digest(data.atlas)}"
+    originals = {} if data.from_atlas else {_SOURCE: {"images": str(data.images.resolve())}}
+    return Job("boxcars", chosen, inputs, units, originals)
+
+
+def _digest(path: Path) -> str:
+    # Of the whole file: the atlas too was read whole to open the tree, and its ends alone do not show a change.
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _left_out(instance: Instance, cameras: Sequence[str] | None, to_camera_only: bool) -> str:
@@ -144,12 +160,21 @@ class BoxCarsUnit:
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
         path = self._path(out)
-        return None if finished_part(path) is None else [path]
+        found = finished_part(
+            path,
+            pair=str(self.pair),
+            size=f"{self.size_wh[0]}x{self.size_wh[1]}",
+            source=_SOURCE,
+            part=self.number,
+            last=int(self.last),
+            settings=json.dumps(dict(self.settings), sort_keys=True),
+        )
+        return None if found is None else [path]
 
     def run(self, out: Path, progress: Progress) -> None:
         """See `Unit`."""
         with ShardWriter(
-            self._path(out), self.pair, self.size_wh, source="boxcars116k", part=self.number, settings=self.settings
+            self._path(out), self.pair, self.size_wh, source=_SOURCE, part=self.number, settings=self.settings
         ) as writer:
             writer.last = self.last
             for start in range(0, len(self.instances), _CHUNK):
@@ -168,9 +193,15 @@ class BoxCarsUnit:
                 writer.reject(_reject(instance, "no usable camera", reason))
             else:
                 try:
-                    crops.append((instance, split, self.data.read_crop(instance)))
+                    image = self.data.read_crop(instance)
                 except DataError as err:
                     writer.reject(_reject(instance, "unreadable picture", str(err)))
+                    continue
+                if min(image.shape[:2]) < _SMALLEST:
+                    detail = f"{image.shape[1]}x{image.shape[0]} px, less than {_SMALLEST} on a side"
+                    writer.reject(_reject(instance, "picture too small", detail))
+                    continue
+                crops.append((instance, split, image))
         if not crops:
             return
         offsets = np.array([instance.offset_px for instance, _, _ in crops])
@@ -227,13 +258,16 @@ def _label_boxes(vertices: Array, vpus: Array, size_wh: tuple[int, int]) -> list
     with np.errstate(invalid="ignore"):
         off = np.asarray(np.abs(decoded - safe).max(axis=(1, 2)) / extent)
     outside = (boxes[:, :2] < -0.5).any(axis=1) | (boxes[:, 2:] > np.asarray(size_wh) + 0.5).any(axis=1)
+    low, high = np.clip(boxes[:, :2], 0, size_wh), np.clip(boxes[:, 2:], 0, size_wh)
+    area = np.maximum((boxes[:, 2:] - boxes[:, :2]).prod(axis=1), 1e-9)
+    inside = (high - low).prod(axis=1) / area
     flags = (
         Flag.MIRRORED * encoded.mirrored
         + Flag.REVERSED * encoded.reversed
         + Flag.MISALIGNED * (off > _MISALIGNED)
         + Flag.TRUNCATED * outside
     )
-    good = finite & valid & (off <= _UNUSABLE)
+    good = finite & valid & (off <= _UNUSABLE) & (inside >= _INSIDE)
     labels = Labels(boxes[good], cc[good], np.full(good.sum(), VehicleClass.VEHICLE), flags=flags[good])
     row = np.cumsum(good) - 1
     found: list[Labels | tuple[str, str]] = []
@@ -245,6 +279,9 @@ def _label_boxes(vertices: Array, vpus: Array, size_wh: tuple[int, int]) -> list
         elif not valid[i]:
             detail = f"c_c {cc[i]:.3f} in a box of {extent[i]:.1f} px decodes to no 3D box"
             found.append(("no valid 3D box", detail))
+        elif inside[i] < _INSIDE:
+            detail = f"{inside[i]:.0%} of its box lies in the picture; check 3DBB_offset and camera"
+            found.append(("outside the picture", detail))
         else:
             detail = f"decoded, it lies {off[i]:.0%} of its size from the annotated one"
             found.append(("box against the vanishing points", detail))

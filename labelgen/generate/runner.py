@@ -6,30 +6,29 @@ was interrupted goes on at the first missing shard, and any number of workers gi
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
+import queue
 import signal
-import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
-from tqdm import tqdm
 
-from labelgen.errors import DataError, LabelgenError, OutputError
-from labelgen.files import make_folder, remove_temporary_files, write_json
-from labelgen.shards import DatasetSummary, ShardReader, write_index
-from labelgen.shards.index import INDEX_NAME, REJECTS_NAME
+from labelgen.errors import DataError, LabelgenError
+from labelgen.generate.staging import Staging
+from labelgen.progress import progress_bar
+from labelgen.shards import DatasetSummary, ShardReader, find_shards, summarise, write_index
 
-__all__ = ["Job", "Progress", "Unit", "clear_output", "finished_part", "run_job"]
+__all__ = ["Job", "Progress", "Unit", "finished_part", "run_job"]
 
-JOB_NAME = "job.json"
-Progress = Callable[[int], None]
+Progress = Callable[[int], object]
 
 
 class Unit(Protocol):
@@ -55,14 +54,14 @@ class Job:
         settings: everything that decides the content of the shards.
         inputs: what identifies the input files.
         units: the work.
-        sources: where the originals lie on this machine; not part of the job's identity.
+        originals: where the originals lie on this machine, by the shards' source; not part of the job's identity.
     """
 
     command: str
     settings: Mapping[str, Any]
     inputs: Mapping[str, Any]
     units: Sequence[Unit]
-    sources: Mapping[str, Any] = field(default_factory=dict)
+    originals: Mapping[str, Any] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
         """Identity of the job: the same on every run of the same command on the same input."""
@@ -70,125 +69,123 @@ class Job:
 
 
 def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -> DatasetSummary:
-    """Make all shards of a job, then the index.
+    """Make all shards of a job, then the index; a data set that was there before stays whole until then.
 
     Args:
         job: the work.
         out: output folder.
-        overwrite: whether a finished data set, or another job's leftovers, may be replaced.
+        overwrite: whether a finished data set, or another job's unfinished one, may be replaced.
         workers: processes; 0 for one per core.
 
     Raises:
-        OutputError: the folder holds something else, or cannot be written.
-        LabelgenError: no label came out of it; the folder is left as it was found, less what was replaced.
+        OutputError: the folder is in use, holds something else, or cannot be written.
+        LabelgenError: no label came out of it; the folder is left as it was found.
     """
-    warnings = _prepare(job, out, overwrite)
-    todo = [unit for unit in job.units if unit.shards(out) is None]
-    if len(todo) < len(job.units):
-        warnings.append(
-            f"went on with an interrupted job: {len(job.units) - len(todo)} of {len(job.units)} parts were there"
-        )
-    sizes = [unit.size for unit in todo]
-    total = sum(size for size in sizes if size is not None) if None not in sizes else None
-    count = min(workers or len(os.sched_getaffinity(0)), len(todo))
-    interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line now and then
-    with tqdm(total=total, unit="img", dynamic_ncols=True, smoothing=0.1, mininterval=interval) as bar:
-        if count <= 1:
-            for unit in todo:
-                unit.run(out, bar.update)
-        else:
-            _run_in_processes(todo, out, count, bar)
-    shards = [shard for unit in job.units for shard in unit.shards(out) or ()]
-    summary = write_index(out, shards, job.describe(), job.sources)
-    if summary.labels == 0:
-        clear_output(out)
-        reasons = ", ".join(f"{n} x {reason}" for reason, n in summary.reasons.most_common(4)) or "there was no input"
-        raise LabelgenError(f"no vehicles found: not one label came out of the input ({reasons}); nothing was written")
-    (out / JOB_NAME).unlink(missing_ok=True)
-    summary.warnings += warnings
+    with Staging(out, job.describe(), overwrite=overwrite) as staging:
+        if not staging.published:
+            _make_all(job, staging.path, workers)
+            shards = [shard for unit in job.units for shard in unit.shards(staging.path) or ()]
+            summary = summarise([ShardReader(shard) for shard in shards])
+            if summary.labels == 0:
+                staging.discard()
+                top = ", ".join(f"{n} x {reason}" for reason, n in summary.reasons.most_common(4))
+                raise LabelgenError(
+                    "no vehicles found: not one label came out of the input "
+                    f"({top or 'there was no input'}); nothing was written"
+                )
+            write_index(staging.path, shards, job.describe(), job.originals)
+            staging.publish()
+    summary = summarise([ShardReader(shard) for shard in find_shards([out])])
+    if staging.resumed:
+        summary.warnings.append(f"went on with an interrupted job: {staging.resumed} shards were there")
     return summary
 
 
-def _run_in_processes(units: Sequence[Unit], out: Path, count: int, bar: tqdm[Any]) -> None:
+def _make_all(job: Job, folder: Path, workers: int) -> None:
+    todo = [unit for unit in job.units if unit.shards(folder) is None]
+    sizes = [unit.size for unit in todo]
+    total = sum(size for size in sizes if size is not None) if None not in sizes else None
+    count = min(workers or _cores(), len(todo))
+    with progress_bar(total, "img") as advance:
+        if count <= 1:
+            for unit in todo:
+                unit.run(folder, advance)
+        else:
+            _run_in_processes(todo, folder, count, advance)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _run_in_processes(units: Sequence[Unit], folder: Path, count: int, advance: Progress) -> None:
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker) as pool:
-        pending = {pool.submit(_run_unit, unit, out) for unit in units}
+    done: Any = context.Queue()
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(done,))
+    try:
+        pending: set[Future[None]] = {pool.submit(_run_unit, unit, folder) for unit in units}
+        while pending:
+            finished, pending = wait(pending, timeout=0.2)
+            _drain(done, advance)
+            for future in finished:
+                future.result()
+        _drain(done, advance)
+    except BrokenProcessPool:
+        raise LabelgenError(
+            "a worker process was killed, perhaps for want of memory; run the command again with fewer --workers"
+        ) from None
+    except BaseException:
+        # Whole videos may be under way: what they have finished is on disk, the rest is not waited for.
+        for child in multiprocessing.active_children():
+            child.kill()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _drain(done: Any, advance: Progress) -> None:
+    while True:
         try:
-            for done in as_completed(pending):
-                bar.update(done.result())
-        except BrokenProcessPool:
-            raise LabelgenError(
-                "a worker process was killed, perhaps for want of memory; run the command again with fewer --workers"
-            ) from None
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+            advance(done.get_nowait())
+        except queue.Empty:
+            return
 
 
-def _start_worker() -> None:
+_report: Any = None
+
+
+def _start_worker(done: Any) -> None:
+    global _report
+    _report = done
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
 
 
-def _run_unit(unit: Unit, out: Path) -> int:
-    done = 0
-
-    def count(n: int) -> None:
-        nonlocal done
-        done += n
-
-    unit.run(out, count)
-    return done
+def _end_with(sentinel: int) -> None:
+    """A worker whose parent was killed must not go on writing."""
+    wait_for_any([sentinel])
+    os._exit(1)
 
 
-def finished_part(path: Path) -> ShardReader | None:
-    """Reader of a shard that is on disk and whole; None where it is not there.
+def _run_unit(unit: Unit, folder: Path) -> None:
+    unit.run(folder, _report.put)
 
-    Raises:
-        DataError: the file is there but damaged.
+
+def finished_part(path: Path, **expected: Any) -> ShardReader | None:
+    """Reader of a shard that is on disk and is the expected one; None where it is not there.
+
+    Args:
+        path: of the shard.
+        expected: values of its attributes.
     """
     if not path.exists():
         return None
     with ShardReader(path) as reader:
-        assert reader.attributes is not None
-        return reader
-
-
-def _prepare(job: Job, out: Path, overwrite: bool) -> list[str]:
-    if out.exists() and not out.is_dir():
-        raise OutputError(f"--out {out}: a file of that name is in the way; choose another folder")
-    description = job.describe()
-    make_folder(out)
-    finished, started = (out / INDEX_NAME).exists(), (out / JOB_NAME).exists()
-    leftovers = finished or started or any(out.glob("shard-*.h5"))
-    if leftovers and not overwrite:
-        if finished:
-            raise OutputError(
-                f"--out {out}: it already holds a finished data set; add --overwrite or choose another folder"
-            )
-        if not started or _read_job(out) != description:
-            raise OutputError(
-                f"--out {out}: it holds an unfinished job with other settings or input; add --overwrite to drop it "
-                "or choose another folder"
-            )
-    write_json(out / JOB_NAME, description)
-    remove_temporary_files(out)
-    if leftovers and overwrite:
-        clear_output(out, keep_job=True)
-    return []
-
-
-def _read_job(out: Path) -> Any:
-    try:
-        return json.loads((out / JOB_NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as err:
-        raise DataError(f"{out / JOB_NAME}: not readable ({err}); add --overwrite to start anew") from None
-
-
-def clear_output(out: Path, *, keep_job: bool = False) -> None:
-    """Remove a data set from a folder: the index first, so that it never looks complete; nothing else is touched."""
-    names = [out / INDEX_NAME, out / REJECTS_NAME, *sorted(out.glob("shard-*.h5"))]
-    for path in names if keep_job else [*names, out / JOB_NAME]:
-        path.unlink(missing_ok=True)
-    if not keep_job and not any(out.iterdir()):
-        out.rmdir()
+        try:
+            same = all(reader.attributes[key] == value for key, value in expected.items())
+        except DataError:
+            return None
+        return reader if same else None

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from labelgen.errors import LabelgenError
 from labelgen.generate.encoding import ImageCodec
 from labelgen.generate.mask_labels import LABEL_LIMITS, LabelLimits, label_masks
 from labelgen.generate.runner import Job, Progress, finished_part
@@ -22,6 +25,7 @@ from labelgen.labels import Sample
 from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.sources.frames import Frame, FrameSource, open_frames
+from labelgen.sources.images import ImageFolder
 from labelgen.sources.scenes import Scene
 
 __all__ = ["MaskSettings", "VideoUnit", "video_job"]
@@ -94,26 +98,50 @@ def video_job(
     """
     codec = codec or ImageCodec()
     common = {"kind": "masks", **settings.describe(), "every": every, **codec.describe()}
-    units = []
+    units: list[VideoUnit] = []
     inputs = {}
-    for number, scene in enumerate(scenes):
+    for number, scene in enumerate(_with_distinct_names(scenes)):
         assert scene.frames_path is not None
         prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{scene.name}"
         unit = VideoUnit(scene, pair, size_wh, settings, every, limit, per_shard, codec, common, prefix)
-        unit.prepare()
+        unit.check()
+        if number == 0:
+            unit.prepare()  # the mask source is the same for all
         units.append(unit)
-        inputs[f"{number}: {scene.name}"] = [
-            _fingerprint(p) for p in (scene.frames_path, scene.calibration_path, scene.mask_path)
-        ]
-    sources = {unit.scene.name: unit.whereabouts() for unit in units}
+        used = (scene.frames_path, scene.calibration_path, scene.mask_path)
+        inputs[f"{number}: {scene.name}"] = [_fingerprint(path) for path in used]
+    originals = {unit.scene.name: unit.whereabouts() for unit in units}
     chosen = {"pair": str(pair), "size": f"{size_wh[0]}x{size_wh[1]}", "limit": limit, "per_shard": per_shard, **common}
-    return Job("bcs-masks", chosen, inputs, units, sources)
+    return Job("bcs-masks", chosen, inputs, units, originals)
+
+
+def _rate_problem(frames: FrameSource, scene: Scene) -> list[str]:
+    """A note where a recording of the data set does not run at the rate that the data set states."""
+    if frames.fps is None or scene.fps is None or abs(frames.fps - scene.fps) <= 0.01 * scene.fps:
+        return []
+    return [f"the video runs at {frames.fps:g} frames per second, the data set says {scene.fps:g}; times may be wrong"]
+
+
+def _with_distinct_names(scenes: Sequence[Scene]) -> list[Scene]:
+    """The scenes, those of the same name numbered; a label's source must say which video it is from."""
+    seen: dict[Path, str] = {}
+    used: Counter[str] = Counter()
+    named = []
+    for scene in scenes:
+        path = Path(scene.frames_path or "").resolve()
+        if path in seen:
+            raise LabelgenError(f"{path}: it is given twice; name each input once")
+        seen[path] = scene.name
+        used[scene.name] += 1
+        again = used[scene.name]
+        named.append(scene if again == 1 else replace(scene, name=f"{scene.name}-{again}"))
+    return named
 
 
 def _fingerprint(path: Path) -> str:
     """Identity of an input: name, size and the hash of its two ends; videos are too long to hash whole."""
     if path.is_dir():
-        names = sorted(f"{entry.name}:{entry.stat().st_size}" for entry in path.iterdir())
+        names = [f"{name}:{(path / name).stat().st_size}" for name in ImageFolder(path).file_names]
         return f"{path.name} {hashlib.sha256(chr(10).join(names).encode()).hexdigest()[:16]}"
     size, end = path.stat().st_size, 1 << 20
     with path.open("rb") as file:
@@ -147,7 +175,7 @@ class VideoUnit:
         taken = -(-announced // self.every)
         return taken if self.limit is None else min(taken, self.limit)
 
-    def whereabouts(self) -> dict[str, str]:
+    def whereabouts(self) -> dict[str, str | None]:
         """Where the originals lie on this machine."""
         kind, _, file = self.masks.masks.partition(":")
         return {
@@ -155,17 +183,22 @@ class VideoUnit:
             "calibration": str(self.scene.calibration_path.resolve()),
             "road_mask": str(self.scene.mask_path.resolve()),
             "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
+            "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
         }
 
     def _frames(self) -> FrameSource:
         assert self.scene.frames_path is not None
         return open_frames(self.scene.frames_path)
 
-    def prepare(self) -> tuple[FrameSource, Camera, RoadMask, Rectification, MaskSource]:
-        """Open everything; raises what is wrong with it."""
+    def check(self) -> tuple[FrameSource, Camera, RoadMask, Rectification]:
+        """Open video, calibration and road mask; raises what is wrong with them."""
         frames = self._frames()
         camera, road = self.scene.camera(frames.size_wh), self.scene.road()
-        rectification = Rectification.from_road_mask(camera, road, self.pair, self.size_wh)
+        return frames, camera, road, Rectification.from_road_mask(camera, road, self.pair, self.size_wh)
+
+    def prepare(self) -> tuple[FrameSource, Camera, RoadMask, Rectification, MaskSource]:
+        """Open everything, the mask source too."""
+        frames, camera, road, rectification = self.check()
         source = create_mask_source(
             self.masks.masks,
             weights=self.masks.weights,
@@ -182,7 +215,13 @@ class VideoUnit:
     def _there(self, out: Path) -> list[ShardReader]:
         """Shards on disk, in order, up to the first gap."""
         readers: list[ShardReader] = []
-        while (reader := finished_part(self._path(out, len(readers)))) is not None:
+        expected = {
+            "pair": str(self.pair),
+            "size": f"{self.size_wh[0]}x{self.size_wh[1]}",
+            "source": self.scene.name,
+            "settings": json.dumps(dict(self.settings), sort_keys=True),
+        }
+        while (reader := finished_part(self._path(out, len(readers)), part=len(readers), **expected)) is not None:
             readers.append(reader)
         return readers
 
@@ -202,9 +241,11 @@ class VideoUnit:
         with ExitStack() as stack:
             writer = stack.enter_context(self._writer(out, have))
             first = have * self.per_shard * self.every  # frames before it are in shards that are there
-            for frame, masks in masked_frames(frames, source, self._takes, lambda number: number >= first):
+            for frame, masks in masked_frames(
+                frames, source, self._takes, lambda number: number >= first, self._part_of
+            ):
                 progress(1)
-                while frame.number >= (writer.part + 1) * self.per_shard * self.every:
+                while self._part_of(frame.number) > writer.part:
                     stack.close()
                     writer = stack.enter_context(self._writer(out, writer.part + 1))
                 if masks is not None:
@@ -212,8 +253,8 @@ class VideoUnit:
                 if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
                     break
             writer.last = True
-            for problem in [*frames.problems, *source.problems]:
-                writer.reject(Reject(name, -1, -1, "damaged input", problem))
+            for problem in [*_rate_problem(frames, self.scene), *frames.problems, *source.problems]:
+                writer.reject(Reject(name, -1, -1, "input problem", problem))
 
     def _label(
         self,
@@ -236,6 +277,9 @@ class VideoUnit:
         window = np.array([0.0, 0.0, *frame_wh])
         split = self.scene.split_of(frame.number)
         writer.add(Sample(encoded, labels, rectification, camera, name, frame.number, frame.time_s, split, window))
+
+    def _part_of(self, number: int) -> int:
+        return number // (self.per_shard * self.every)
 
     def _takes(self, number: int) -> bool:
         return number % self.every == 0

@@ -40,13 +40,37 @@ _HORIZON_COS = 1e-5
 def _point(value: Any, name: str, problems: list[str]) -> Array:
     try:
         point = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         point = np.empty(0)
     if point.shape != (2,) or not np.isfinite(point).all():
-        problems.append(f"{name}: expected two finite numbers, got {value!r}")
+        problems.append(f"{name}: expected two finite numbers, got {_shown(value)}")
         return np.zeros(2)
     point.setflags(write=False)
     return point
+
+
+def _scale(value: Any, problems: list[str]) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        problems.append(f"scale: expected a number, got {_shown(value)}")
+        return None
+    try:
+        scale = float(value)
+    except (TypeError, OverflowError):
+        scale = math.inf
+    if not (math.isfinite(scale) and scale > 0):
+        problems.append(f"scale: expected a positive number, got {_shown(value)}")
+    return scale
+
+
+def _shown(value: Any) -> str:
+    """A value in a message: one line, not longer than it helps."""
+    try:
+        text = " ".join(repr(value).split())
+    except (ValueError, RecursionError):  # a number of more digits than Python prints, a list too deep
+        return f"a {type(value).__name__} too long to show"
+    return text if len(text) <= 80 else f"{text[:80]}..."
 
 
 def _size(value: Any, problems: list[str]) -> tuple[int, int] | None:
@@ -92,14 +116,7 @@ class Camera:
         vp1 = _point(self.vp1, "vp1", problems)
         vp2 = _point(self.vp2, "vp2", problems)
         pp = _point(self.pp, "pp", problems)
-        scale = self.scale
-        if scale is not None:
-            if isinstance(scale, bool) or not isinstance(scale, int | float | np.number):
-                problems.append(f"scale: expected a number, got {scale!r}")
-            elif not (math.isfinite(scale) and scale > 0):
-                problems.append(f"scale: expected a positive number, got {scale!r}")
-            else:
-                scale = float(scale)
+        scale = _scale(self.scale, problems)
         image_wh = _size(self.image_wh, problems)
         focal, vp3 = math.nan, np.zeros(2)
         if not problems:

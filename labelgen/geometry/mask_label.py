@@ -1,9 +1,12 @@
 """From a vehicle's mask in the rectified image to its 2D box and c_c.
 
-Convention: a mask pixel covers [x, x + 1) x [y, y + 1). The box runs along pixel borders; the two tangents
-from VPU touch the mask at pixel centres.
+Convention: a mask pixel covers [x, x + 1) x [y, y + 1). In a rectified mask the box runs along pixel borders and the
+two tangents from VPU touch it at pixel centres. In a mask of the frame both run obliquely: a side that follows the
+pixel grid truly lies at the borders, any other at the centres, so the middle half of each pixel stands for it.
 
-Source: Kocur & Ftacnik 2020, section 3.4 (tangents from VPU, the wider of the two candidates). The
+Source: Kocur & Ftacnik 2020, section 3.4 (tangents from VPU, the wider of the two candidates). The published
+method rectifies the mask's pixels; rectifying its hull instead does not round anything to the rectified grid,
+which is what most of the error of c_c comes from (docs/label-accuracy.md). The
 "conditioned" rule weights the candidates by the inverse square of how far a shift of the tangent point by
 0.7 px moves them: where a tangent runs almost along a side of the box, half a pixel moves its candidate far.
 """
@@ -20,16 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.errors import LabelgenError
-from labelgen.geometry.projective import Array, translation
+from labelgen.geometry.projective import Array, bounding_boxes
 from labelgen.geometry.rectification import Rectification
 
 __all__ = ["MaskLabels", "Outline", "Rule", "label_outlines", "mask_outline", "rectified_outline"]
 
 _TANGENT_SHIFT = 0.7
-# A half-pixel error of a tangent is what most of the c_c error comes from, so masks are rectified onto a grid
-# this many times finer than the image, or as much as keeps the mask's longer side under the given length.
-_OVERSAMPLE = 4
-_LONGEST_SIDE = 640
+_MIDDLE_HALF = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
 
 
 class Rule(StrEnum):
@@ -52,14 +52,12 @@ class Outline:
     """What of a rectified mask matters for its label: all its parts together.
 
     Args:
-        box_xyxy: (4,) px, along pixel borders.
-        hull: (K, 2) px, convex hull of the pixel centres.
-        area_px2: area.
+        box_xyxy: (4,) rectified px.
+        hull: (K, 2) rectified px, points on whose convex hull the tangents touch.
     """
 
     box_xyxy: Array
     hull: Array
-    area_px2: float
 
 
 @dataclass(frozen=True)
@@ -86,60 +84,53 @@ def _as_uint8(mask: NDArray[Any]) -> NDArray[np.uint8]:
     return (mask if mask.dtype == np.bool_ else mask != 0).view(np.uint8)
 
 
-def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Outline | None:
-    """Outline of a mask (H, W), any non-zero value being set, whose first pixel is `origin_px`; None if empty."""
-    image = _as_uint8(mask)
-    x, y, w, h = cv2.boundingRect(image)
-    if w == 0:
+def _hull(mask: NDArray[Any], origin_px: tuple[int, int]) -> Array | None:
+    """Convex hull (K, 2) of the mask's pixels by column and row, all parts together; None if it is empty."""
+    contours, _ = cv2.findContours(_as_uint8(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours:
         return None
-    inner = image[y : y + h, x : x + w]
-    contours, _ = cv2.findContours(inner, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    hull = cv2.convexHull(np.concatenate(contours) if len(contours) > 1 else contours[0])[:, 0]
-    left, top = x + origin_px[0], y + origin_px[1]
-    return Outline(
-        np.array([left, top, left + w, top + h], dtype=np.float64),
-        hull + np.array([left + 0.5, top + 0.5]),
-        float(cv2.countNonZero(inner)),
-    )
+    points = np.concatenate(contours) if len(contours) > 1 else contours[0]
+    return np.asarray(cv2.convexHull(points)[:, 0] + np.asarray(origin_px), dtype=np.float64)
+
+
+def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Outline | None:
+    """Outline of a rectified mask (the published method).
+
+    Args:
+        mask: (h, w), any non-zero value being set, in the rectified image.
+        origin_px: rectified px of its first pixel.
+
+    Returns:
+        None for an empty mask.
+    """
+    hull = _hull(mask, origin_px)
+    if hull is None:
+        return None
+    return Outline(np.concatenate([hull.min(axis=0), hull.max(axis=0) + 1]), hull + 0.5)
 
 
 def rectified_outline(
-    rectification: Rectification,
-    mask: NDArray[Any],
-    origin_px: tuple[int, int] = (0, 0),
-    *,
-    oversample: int = _OVERSAMPLE,
+    rectification: Rectification, mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)
 ) -> Outline | None:
-    """Outline, in rectified px, of a mask given in the frame; None where none of it lies in the rectified image.
+    """Outline, in rectified px, of a mask given in the frame; None where none of its hull lies in the rectified image.
 
     Args:
         rectification: from the frame in which the mask lies.
         mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
         origin_px: frame px of the mask's first pixel.
-        oversample: how many times finer than the rectified image the mask is sampled, at most; 1 is the
-            published method, more lowers the error of c_c several times (docs/label-accuracy.md).
     """
-    image: NDArray[Any] = _as_uint8(mask)
-    x, y, width, height = cv2.boundingRect(image)
-    if width == 0:
+    hull = _hull(mask, origin_px)
+    if hull is None:
         return None
-    image = cv2.threshold(image[y : y + height, x : x + width], 0, 255, cv2.THRESH_BINARY)[1]
-    x, y = x + origin_px[0], y + origin_px[1]
-    around = rectification.boxes(np.array([[x, y, x + width, y + height]], dtype=np.float64))[0]
-    if not np.isfinite(around).all():
-        around = np.array([0.0, 0.0, *rectification.size_wh])
-    low = np.maximum(np.floor(around[:2]), 0).astype(int)
-    size = np.minimum(np.ceil(around[2:]), rectification.size_wh).astype(int) - low
-    if (size <= 0).any():
-        return None
-    fine = max(1, min(oversample, _LONGEST_SIDE // int(size.max())))
-    to_patch = np.diag([fine, fine, 1.0]) @ translation(-low[0], -low[1]) @ rectification.matrix
-    matrix = translation(-0.5, -0.5) @ to_patch @ translation(x + 0.5, y + 0.5)
-    patch = cv2.warpPerspective(image, matrix, (int(size[0]) * fine, int(size[1]) * fine))
-    outline = mask_outline(cv2.threshold(patch, 127, 255, cv2.THRESH_BINARY)[1])
-    if outline is None:
-        return None
-    return Outline(outline.box_xyxy / fine + np.tile(low, 2), outline.hull / fine + low, outline.area_px2 / fine**2)
+    points = (hull[:, None] + _MIDDLE_HALF).reshape(-1, 2)
+    inside = rectification.points(points)
+    if not ((inside >= 0) & (inside <= rectification.size_wh)).all():  # NaN, beyond the horizon, is outside, too
+        outer = cv2.convexHull(points.astype(np.float32))[:, 0]
+        inside = rectification.polygon_inside(outer)
+        if len(inside) == 0:
+            return None
+    box = bounding_boxes(inside)
+    return Outline(box, inside) if (box[:2] < box[2:]).all() else None
 
 
 def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rule.WIDER) -> MaskLabels:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "apply_homography", "bounding_boxes", "homogeneous", "translation"]
+__all__ = ["Array", "apply_homography", "bounding_boxes", "clip_polygon", "homogeneous", "translation"]
 
 Array = NDArray[np.float64]
 
@@ -44,3 +44,17 @@ def bounding_boxes(points: ArrayLike) -> Array:
     """Axis-aligned boxes (..., 4) as x0, y0, x1, y1 around point sets (..., K, 2)."""
     pts = np.asarray(points, dtype=np.float64)
     return np.concatenate([pts.min(axis=-2), pts.max(axis=-2)], axis=-1)
+
+
+def clip_polygon(polygon: Array, line: Array) -> Array:
+    """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
+    side = homogeneous(polygon) @ line
+    if (side >= 0).all():
+        return polygon
+    corners = []
+    for i in range(len(polygon)):
+        if side[i - 1] * side[i] < 0:
+            corners.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * side[i - 1] / (side[i - 1] - side[i]))
+        if side[i] >= 0:
+            corners.append(polygon[i])
+    return np.array(corners).reshape(-1, 2)

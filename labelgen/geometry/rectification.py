@@ -12,8 +12,9 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Literal
 
 import cv2
@@ -24,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
-from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, homogeneous, translation
+from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, clip_polygon, translation
 
 __all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "parse_size", "rectify_windows"]
 
@@ -165,7 +166,6 @@ class Rectification:
     frame_coverage: float = math.nan
     road_area: float = math.nan
     crop_steps: int = 0
-    inverse: Array = field(init=False)
 
     def __post_init__(self) -> None:
         matrix, vpu = np.array(self.matrix, dtype=np.float64), np.array(self.vpu, dtype=np.float64)
@@ -174,18 +174,21 @@ class Rectification:
                 f"rectification: expected a finite 3x3 matrix and VPU, got {matrix.tolist()}, {vpu.tolist()}"
             )
         _check_size(self.size_wh)
-        try:
-            inverse = np.linalg.inv(matrix)
-        except np.linalg.LinAlgError:
-            raise RectificationError("rectification: the matrix is singular") from None
-        centre = inverse @ np.array([self.size_wh[0] / 2, self.size_wh[1] / 2, 1.0])
-        # The centre of the rectified image lies on the visible side, whichever sign the matrix came with.
-        sign = np.sign(centre[2]) or 1.0
-        matrix, inverse = matrix * sign, inverse * sign
-        for array in (matrix, vpu, inverse):
+        sign = _visible_sign(matrix, self.size_wh)
+        if sign == 0:
+            raise RectificationError("rectification: the matrix is singular")
+        np.multiply(matrix, sign, out=matrix)
+        for array in (matrix, vpu):
             array.setflags(write=False)
-        for key, value in {"matrix": matrix, "vpu": vpu, "inverse": inverse}.items():
+        for key, value in {"matrix": matrix, "vpu": vpu}.items():
             object.__setattr__(self, key, value)
+
+    @cached_property
+    def inverse(self) -> Array:
+        """(3, 3) rectified px -> frame px."""
+        inverse = np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
+        inverse.setflags(write=False)
+        return inverse
 
     # -- constructors -------------------------------------------------------------------------------
 
@@ -242,7 +245,7 @@ class Rectification:
         reason = f"; the line joining VP2 and VP{pair.vertical} crosses it" if crossed else ""
         raise RectificationError(
             f"road mask: cropped away before {min_coverage:.0%} of the {pair} output lay inside the {cover}{reason}; "
-            "mark less of the road near the camera, or ask for less coverage"
+            "mark less of the road near the camera"
         )
 
     @classmethod
@@ -308,7 +311,7 @@ class Rectification:
         # are lines of the rectified image too, and together they leave only w >= 0.
         x, y, scale = self.inverse
         for border in (x, y, frame_w * scale - x, frame_h * scale - y):
-            seen = _clip(seen, border)
+            seen = clip_polygon(seen, border)
         return float(shapely.Polygon(seen).area) / (w * h) if len(seen) > 2 else 0.0
 
     # -- warping, both ways -------------------------------------------------------------------------
@@ -316,6 +319,14 @@ class Rectification:
     def points(self, points_px: ArrayLike) -> Array:
         """Frame px (..., 2) -> rectified px; NaN beyond the line that goes to infinity."""
         return _map(self.matrix, points_px)
+
+    def polygon_inside(self, polygon_px: ArrayLike) -> Array:
+        """The part of a convex frame polygon (K, 2) that lies in the rectified image, rectified px (J, 2), J >= 0."""
+        (w, h), (x, y, depth) = self.size_wh, self.matrix
+        inside = np.asarray(polygon_px, dtype=np.float64)
+        for border in (depth, x, w * depth - x, y, h * depth - y):
+            inside = clip_polygon(inside, border)
+        return np.clip(self.points(inside), 0, self.size_wh)
 
     def points_back(self, points_rectified: ArrayLike) -> Array:
         """Rectified px (..., 2) -> frame px."""
@@ -377,16 +388,13 @@ def _map(matrix: Array, points: ArrayLike) -> Array:
     return apply_homography(matrix, pts.reshape(-1, 2)).reshape(pts.shape)
 
 
-def _clip(polygon: Array, line: Array) -> Array:
-    """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
-    side = homogeneous(polygon) @ line
-    corners = []
-    for i in range(len(polygon)):
-        if side[i - 1] * side[i] < 0:
-            corners.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * side[i - 1] / (side[i - 1] - side[i]))
-        if side[i] >= 0:
-            corners.append(polygon[i])
-    return np.array(corners).reshape(-1, 2)
+def _visible_sign(matrix: Array, size_wh: tuple[int, int]) -> float:
+    """The sign that makes the third coordinate positive where the rectified image's centre lies; 0 if singular."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    # The third row of the adjugate, on the centre: the depth there, but for the determinant's sign.
+    depth = (d * h - e * g) * size_wh[0] / 2 + (b * g - a * h) * size_wh[1] / 2 + (a * e - b * d)
+    return float(np.sign(det) * np.sign(depth)) if depth else float(np.sign(det))
 
 
 def _box_corners(boxes_xyxy: ArrayLike) -> Array:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 from labelgen.masks.instances import InstanceMasks
-from labelgen.masks.segmentation import decode_segmentation
+from labelgen.masks.segmentation import check_segmentation, decode_segmentation
 
 __all__ = ["CLASS_BY_COCO_ID", "CLASS_BY_NAME", "CocoMasks"]
 
@@ -42,19 +42,21 @@ CLASS_BY_NAME = {
     "lorry": VehicleClass.TRUCK,
     "vehicle": VehicleClass.VEHICLE,
 }
+# How many of the categories that are no vehicles a message names.
+_NAMES_TOLD = 5
 
 
 class CocoMasks:
     """Masks looked up in a COCO file; see the module's text for how frames are found.
 
     Attributes:
-        problems: annotations that had to be skipped, with the reason; grows as frames are looked up.
-        ignored: how many annotations were left out per category that is no vehicle.
+        problems: what had to be skipped or is left out, with the reason. Complete from the beginning where `frame_wh`
+            is given, else from the first frame, whichever frames are looked up.
 
     Args:
         path: COCO JSON.
         score_threshold: annotations with a lower `score` are left out; those without one count as 1.
-        frame_wh: report image entries that announce another size.
+        frame_wh: size of the frames; checks every mask against it at once.
 
     Raises:
         DataError: the file is missing, not JSON, or not COCO.
@@ -70,7 +72,6 @@ class CocoMasks:
     ) -> None:
         self.path = Path(path)
         self.problems: list[str] = []
-        self.ignored: Counter[str] = Counter()
         self._score_threshold = score_threshold
         self._told: set[str] = set()
         data = _load(self.path)
@@ -79,6 +80,10 @@ class CocoMasks:
         self._classes = self._read_categories(data.get("categories"))
         self._images = self._read_images(data, frame_wh)
         self._annotations = self._read_annotations(data["annotations"])
+        self._checked_wh: tuple[int, int] | None = None
+        self._usable: dict[Any, list[dict[str, Any]]] = {}
+        if frame_wh is not None:
+            self._check(frame_wh)
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Nothing to learn."""
@@ -114,34 +119,45 @@ class CocoMasks:
         return None
 
     def _masks_of(self, frame_wh: tuple[int, int], image_id: Any) -> InstanceMasks:
-        origins, crops, class_ids, scores = [], [], [], []
-        for index, annotation in self._annotations.get(image_id, ()):
-            try:
-                score = _score(annotation.get("score", 1.0))
-                part = decode_segmentation(annotation.get("segmentation"), frame_wh)
-            except ValueError as error:
-                self._tell(f"annotation {annotation.get('id', f'number {index}')}: {error}; skipped")
-                continue
-            if score < self._score_threshold:
-                continue
-            origins.append(part[0])
-            crops.append(part[1])
-            class_ids.append(annotation["_class"])
-            scores.append(score)
-        if not crops:
+        if frame_wh != self._checked_wh:
+            self._check(frame_wh)
+        usable = self._usable.get(image_id, [])
+        if not usable:
             return InstanceMasks.empty(frame_wh)
+        parts = [decode_segmentation(annotation["segmentation"], frame_wh) for annotation in usable]
         return InstanceMasks(
             frame_wh,
-            np.array(origins, dtype=np.int64),
-            tuple(crops),
-            np.array(class_ids, dtype=np.uint8),
-            np.array(scores, dtype=np.float32),
+            np.array([origin for origin, _ in parts], dtype=np.int64),
+            tuple(crop for _, crop in parts),
+            np.array([annotation["_class"] for annotation in usable], dtype=np.uint8),
+            np.array([annotation.get("score", 1.0) for annotation in usable], dtype=np.float32),
         )
+
+    def _check(self, frame_wh: tuple[int, int]) -> None:
+        """Keep the vehicles' annotations that give masks in frames of this size; tell what is wrong with others."""
+        self._checked_wh, self._usable = frame_wh, {}
+        low = 0
+        for image_id, found in self._annotations.items():
+            for index, annotation in found:
+                try:
+                    score = _score(annotation.get("score", 1.0))
+                    check_segmentation(annotation.get("segmentation"), frame_wh)
+                except ValueError as error:
+                    self._tell(f"annotation {annotation.get('id', f'number {index}')}: {error}; skipped")
+                    continue
+                if score < self._score_threshold:
+                    low += 1
+                else:
+                    self._usable.setdefault(image_id, []).append(annotation)
+        if low:
+            self._tell(f"{_many(low, 'annotation')} with a score below {self._score_threshold:g} left out")
 
     def _tell(self, problem: str) -> None:
         if problem not in self._told:
             self._told.add(problem)
-            self.problems.append(f"{self.path.name}: {problem}")
+            # JSON may hold half characters, which no output takes.
+            safe = problem.encode("utf-8", "backslashreplace").decode()
+            self.problems.append(f"{self.path.name}: {safe}")
 
     # -- reading the file ---------------------------------------------------------------------------
 
@@ -199,7 +215,7 @@ class CocoMasks:
             if base_names[path.name] == 1:
                 self._by_name.setdefault(path.name, entry["id"])
             number = re.search(r"([0-9]+)[^0-9]*$", path.stem)
-            if number:
+            if number and len(number[1]) < 19:
                 self._by_number.setdefault(int(number[1]), entry["id"])
         repeated = sum(count > 1 for count in base_names.values())
         if repeated:
@@ -209,6 +225,8 @@ class CocoMasks:
     def _read_annotations(self, annotations: list[Any]) -> dict[Any, list[tuple[int, dict[str, Any]]]]:
         """Vehicles' annotations by image id, with their place in the file."""
         found: dict[Any, list[tuple[int, dict[str, Any]]]] = {}
+        others: Counter[str] = Counter()
+        crowds = 0
         for index, annotation in enumerate(annotations):
             if not isinstance(annotation, dict):
                 self._tell(f"annotation number {index}: not a JSON object; skipped")
@@ -220,18 +238,29 @@ class CocoMasks:
             elif not isinstance(category, int):
                 self._tell(f"{label}: category_id {category!r} is not a number; skipped")
             elif annotation.get("iscrowd") == 1:
-                self.ignored["crowd regions"] += 1
+                crowds += 1
             elif category not in self._classes:
-                self.ignored[self._other_names.get(category, f"id {category}")] += 1
+                others[self._other_names.get(category, f"id {category}")] += 1
             else:
                 entry = {**annotation, "_class": self._classes[category]}
                 found.setdefault(image_id, []).append((index, entry))
+        if others:
+            names = [name for name, _ in others.most_common(_NAMES_TOLD)]
+            more = [f"{len(others) - len(names)} more"] if len(others) > len(names) else []
+            count = _many(others.total(), "annotation")
+            self._tell(f"{count} of other categories ({', '.join(names + more)}) left out")
+        if crowds:
+            self._tell(f"{_many(crowds, 'crowd region')} left out")
         return found
+
+
+def _many(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _score(value: Any) -> float:
     if not isinstance(value, int | float) or not 0 <= value <= 1:
-        raise ValueError(f"its score {value!r} is not in [0, 1]")
+        raise ValueError(f"its score {repr(value)[:40]} is not in [0, 1]")
     return float(value)
 
 

@@ -27,6 +27,7 @@ def masked_frames(
     source: MaskSource,
     taken: Callable[[int], bool],
     asked: Callable[[int], bool] = lambda number: True,
+    group_of: Callable[[int], int] = lambda number: 0,
 ) -> Iterator[tuple[Frame, InstanceMasks | None]]:
     """Taken frames with their masks, in order; the source observes what it wants on the way.
 
@@ -35,6 +36,8 @@ def masked_frames(
         source: primed before, see `prime_masks`.
         taken: whether a frame of this number is wanted.
         asked: whether the masks of a taken frame are wanted; None stands for them otherwise.
+        group_of: frames of different groups are never given to the source together, so that what a group's frames
+            give does not depend on whether the ones before it were asked for.
     """
     stride = source.every_frame
     batch: list[Frame] = []
@@ -48,6 +51,9 @@ def masked_frames(
             batch = []
             yield frame, None
             continue
+        if batch and group_of(batch[0].number) != group_of(frame.number):
+            yield from _ask(source, batch)
+            batch = []
         batch.append(frame)
         if len(batch) >= source.batch_size:
             yield from _ask(source, batch)

@@ -6,7 +6,6 @@ Source of the run-length text: pycocotools, `rleFrString`; of what a polygon cov
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,21 @@ from pycocotools import mask as rle_tools
 
 from labelgen.masks.instances import crop_mask
 
-__all__ = ["decode_segmentation"]
+__all__ = ["check_segmentation", "decode_segmentation"]
 
+# Characters of a run length in COCO's text, 5 bits each; a frame of so many pixels needs no more.
+_LONGEST_RUN = 8
+_EMPTY = "its mask is empty or outside the frame"
 Crop = tuple[tuple[int, int], NDArray[np.bool_]]
+
+
+def check_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> None:
+    """Find out what is wrong with a COCO segmentation without filling a mask.
+
+    Raises:
+        ValueError: exactly where `decode_segmentation` raises it.
+    """
+    _read(segmentation, frame_wh)
 
 
 def decode_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> Crop:
@@ -26,33 +37,46 @@ def decode_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> Crop:
     Raises:
         ValueError: what is wrong with it, as the end of a sentence about the annotation.
     """
-    if isinstance(segmentation, dict):
-        part = _decode_rle(segmentation, frame_wh)
-    elif isinstance(segmentation, list) and segmentation:
-        part = _decode_polygons(segmentation, frame_wh)
-    else:
-        raise ValueError("it has no segmentation")
-    if part is None:
-        raise ValueError("its mask is empty or outside the frame")
+    read = _read(segmentation, frame_wh)
+    part = _fill_columns(read, frame_wh[1]) if isinstance(read, np.ndarray) else _fill_polygon(*read)
+    assert part is not None  # its area was found to be more than 0
     return part
 
 
-def _decode_rle(rle: dict[str, Any], frame_wh: tuple[int, int]) -> Crop | None:
+def _read(segmentation: Any, frame_wh: tuple[int, int]) -> NDArray[np.int64] | tuple[dict[str, Any], tuple[int, int]]:
+    """The ends of the runs of an RLE; or the RLE of polygons within their own box, and its origin."""
+    if isinstance(segmentation, dict):
+        return _run_ends(segmentation, frame_wh)
+    if isinstance(segmentation, list) and segmentation:
+        return _polygons_to_rle(segmentation, frame_wh)
+    raise ValueError("it has no segmentation")
+
+
+def _run_ends(rle: dict[str, Any], frame_wh: tuple[int, int]) -> NDArray[np.int64]:
+    """(R,) the pixel, counted down the columns, at which each run ends; unset and set runs in turn."""
     w, h = frame_wh
     size, counts = rle.get("size"), rle.get("counts")
     if size != [h, w]:
-        raise ValueError(f"its RLE is for a frame of size (height, width) {size}, not {[h, w]}")
+        raise ValueError(f"its RLE is for a frame of size (height, width) {str(size)[:40]}, not {[h, w]}")
     if isinstance(counts, str):
-        counts = _parse_counts(counts)
-    if not isinstance(counts, list) or not all(isinstance(c, int) and 0 <= c <= w * h for c in counts):
+        lengths = _parse_counts(counts)
+    elif isinstance(counts, list) and all(isinstance(c, int) and 0 <= c <= w * h for c in counts):
+        lengths = np.array(counts, dtype=np.int64)
+    else:
         raise ValueError("its RLE has no usable counts")
-    ends = np.cumsum(np.array(counts, dtype=np.int64))
+    if ((lengths < 0) | (lengths > w * h)).any():
+        raise ValueError("its RLE has no usable counts")
+    ends = np.cumsum(lengths)
     if ends.size == 0 or ends[-1] != w * h:
         raise ValueError(f"its RLE covers {int(ends[-1]) if ends.size else 0} of {w * h} pixels")
-    # Runs go down the columns, unset and set in turn; fill only the columns between the first and last set run.
+    if not lengths[1::2].any():
+        raise ValueError(_EMPTY)
+    return ends
+
+
+def _fill_columns(ends: NDArray[np.int64], h: int) -> Crop | None:
+    """Fill only the columns between the first and the last set run."""
     set_runs = np.flatnonzero(np.diff(ends, prepend=0)[1::2]) * 2 + 1
-    if set_runs.size == 0:
-        return None
     first, last = int(ends[set_runs[0] - 1]) // h, -(-int(ends[set_runs[-1]]) // h)
     clipped = np.clip(ends, first * h, last * h)
     lengths = clipped - np.concatenate([[first * h], clipped[:-1]])
@@ -60,42 +84,50 @@ def _decode_rle(rle: dict[str, Any], frame_wh: tuple[int, int]) -> Crop | None:
     return crop_mask(slab, (first, 0))
 
 
-def _parse_counts(text: str) -> list[int]:
-    """Run lengths from COCO's text: 5 bits a character, little end first, differences to the last but one run."""
-    counts: list[int] = []
-    value = shift = 0
-    for code in text.encode("utf-8", "replace"):
-        bits = code - 48
-        if not 0 <= bits < 64:
-            raise ValueError("its RLE holds characters that are no run lengths")
-        value |= (bits & 0x1F) << shift
-        shift += 5
-        if bits & 0x20:
-            if shift > 60:
-                raise ValueError("its RLE holds a run length beyond any frame")
-            continue
-        if bits & 0x10:
-            value -= 1 << shift
-        counts.append(value + (counts[-2] if len(counts) > 2 else 0))
-        value = shift = 0
-    if shift:
+def _parse_counts(text: str) -> NDArray[np.int64]:
+    """(R,) run lengths from COCO's text: 5 bits a character, little end first, differences to the last but one run."""
+    bits = np.frombuffer(text.encode("utf-8", "replace"), dtype=np.uint8).astype(np.int64) - 48
+    if ((bits < 0) | (bits >= 64)).any():
+        raise ValueError("its RLE holds characters that are no run lengths")
+    if bits.size == 0:
+        return bits
+    ends = np.flatnonzero(bits < 32)
+    starts = np.concatenate([[0], ends + 1])
+    sizes = np.diff(np.append(starts, bits.size))
+    if sizes.max() > _LONGEST_RUN:
+        raise ValueError("its RLE holds a run length beyond any frame")
+    if sizes[-1]:
         raise ValueError("its RLE is cut off")
+    starts, sizes = starts[:-1], sizes[:-1]
+    place = np.arange(bits.size) - np.repeat(starts, sizes)
+    counts = np.add.reduceat((bits & 31) << (5 * place), starts)
+    counts -= np.where(bits[ends] & 16, 1 << (5 * sizes), 0)
+    # The first three stand for themselves.
+    counts[1::2] = np.cumsum(counts[1::2])
+    counts[2::2] = np.cumsum(counts[2::2])
     return counts
 
 
-def _decode_polygons(polygons: list[Any], frame_wh: tuple[int, int]) -> Crop | None:
-    w, h = frame_wh
+def _polygons_to_rle(polygons: list[Any], frame_wh: tuple[int, int]) -> tuple[dict[str, Any], tuple[int, int]]:
+    farthest = 4 * max(frame_wh)
     points = []
     for polygon in polygons:
         if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
             raise ValueError("its polygon is not a list of at least three x, y pairs")
-        if not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 4 * max(w, h) for v in polygon):
+        if not all(isinstance(v, int | float) and abs(v) <= farthest for v in polygon):
             raise ValueError("its polygon has coordinates that are no numbers or far outside the frame")
         points.append(np.array(polygon, dtype=np.float64).reshape(-1, 2))
     low = np.clip(np.floor(np.min([p.min(axis=0) for p in points], axis=0)), 0, frame_wh).astype(int)
     high = np.clip(np.ceil(np.max([p.max(axis=0) for p in points], axis=0)), 0, frame_wh).astype(int)
     if (high <= low).any():
-        return None
+        raise ValueError(_EMPTY)
     size = high - low
-    rles = rle_tools.frPyObjects([(p - low).ravel().tolist() for p in points], int(size[1]), int(size[0]))
-    return crop_mask(rle_tools.decode(rle_tools.merge(rles)), (int(low[0]), int(low[1])))
+    parts = rle_tools.frPyObjects([(p - low).ravel().tolist() for p in points], int(size[1]), int(size[0]))
+    rle: dict[str, Any] = rle_tools.merge(parts)
+    if not rle_tools.area(rle):
+        raise ValueError(_EMPTY)
+    return rle, (int(low[0]), int(low[1]))
+
+
+def _fill_polygon(rle: dict[str, Any], origin_px: tuple[int, int]) -> Crop | None:
+    return crop_mask(rle_tools.decode(rle), origin_px)

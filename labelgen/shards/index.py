@@ -17,7 +17,16 @@ from labelgen.shards.reader import ShardReader
 from labelgen.shards.rejects import to_json_lines
 from labelgen.shards.schema import FORMAT, HASH_ATTRIBUTE, VERSION
 
-__all__ = ["INDEX_NAME", "REJECTS_NAME", "DatasetSummary", "read_index", "summarise", "write_index"]
+__all__ = [
+    "INDEX_NAME",
+    "REJECTS_NAME",
+    "DatasetSummary",
+    "build_index",
+    "file_hash",
+    "read_index",
+    "summarise",
+    "write_index",
+]
 
 INDEX_NAME = "dataset.json"
 REJECTS_NAME = "rejects.jsonl"
@@ -59,63 +68,76 @@ class DatasetSummary:
 
 
 def summarise(readers: Sequence[ShardReader]) -> DatasetSummary:
-    """Counts over shards."""
+    """Counts over shards; each is closed again after it was counted."""
     summary = DatasetSummary(shards=len(readers))
     for reader in readers:
         summary.images += len(reader)
         summary.labels += reader.label_count
         summary.rejects += len(reader.rejects)
         summary.reasons.update(reject.reason for reject in reader.rejects)
+        reader.close()
     return summary
 
 
 def write_index(
-    folder: Path, shards: Sequence[Path], job: Mapping[str, Any], sources: Mapping[str, Any] | None = None
-) -> DatasetSummary:
+    folder: Path, shards: Sequence[Path], job: Mapping[str, Any], originals: Mapping[str, Any] | None = None
+) -> None:
     """Write rejects.jsonl and, last of all, dataset.json: a data set with an index is complete.
 
     Args:
         folder: of the data set.
         shards: its files, in order.
         job: what made them.
-        sources: where the originals lie on this machine, for looking at labels; by name.
+        originals: where the originals lie on this machine, for looking at labels; by the shard's name or its source.
     """
-    readers = [ShardReader(path) for path in shards]
-    summary = summarise(readers)
-    write_atomic(folder / REJECTS_NAME, b"".join(to_json_lines(reader.rejects) for reader in readers))
-    entries = [
-        {
-            "name": reader.path.name,
-            "source": reader.attributes["source"],
-            "images": len(reader),
-            "labels": reader.label_count,
-            "rejects": len(reader.rejects),
-            HASH_ATTRIBUTE: reader.attributes[HASH_ATTRIBUTE],
-        }
-        for reader in readers
-    ]
-    for reader in readers:
-        reader.close()
+    index, rejects = build_index(shards)
+    for entry in index["shards"]:
+        places = originals or {}
+        entry["original"] = places.get(entry["name"], places.get(entry["source"], {}))
+    write_atomic(folder / REJECTS_NAME, rejects)
+    write_json(folder / INDEX_NAME, {**index, "producer": f"labelgen {__version__}", "job": dict(job)})
+
+
+def build_index(shards: Sequence[Path]) -> tuple[dict[str, Any], bytes]:
+    """What the shards themselves say that the index and the rejects file must hold."""
+    entries: list[dict[str, Any]] = []
+    rejects: list[bytes] = []
+    reasons: Counter[str] = Counter()
+    pair, size = "", ""
+    for path in shards:
+        with ShardReader(path) as reader:
+            pair, size = reader.attributes["pair"], reader.attributes["size"]
+            reasons.update(reject.reason for reject in reader.rejects)
+            rejects.append(to_json_lines(reader.rejects))
+            entries.append(
+                {
+                    "name": path.name,
+                    "source": reader.attributes["source"],
+                    "images": len(reader),
+                    "labels": reader.label_count,
+                    "rejects": len(reader.rejects),
+                    HASH_ATTRIBUTE: reader.attributes[HASH_ATTRIBUTE],
+                    "file_sha256": file_hash(path),
+                }
+            )
     whole = hashlib.sha256("\n".join(str(entry[HASH_ATTRIBUTE]) for entry in entries).encode()).hexdigest()
-    write_json(
-        folder / INDEX_NAME,
-        {
-            "format": f"{FORMAT}-index",
-            "version": VERSION,
-            "producer": f"labelgen {__version__}",
-            "pair": str(readers[0].pair) if readers else "",
-            "size": list(readers[0].size_wh) if readers else [],
-            "images": summary.images,
-            "labels": summary.labels,
-            "rejects": summary.rejects,
-            "rejects_by_reason": dict(sorted(summary.reasons.items())),
-            HASH_ATTRIBUTE: whole,
-            "job": dict(job),
-            "sources": dict(sources or {}),
-            "shards": entries,
-        },
-    )
-    return summary
+    index = {
+        "format": f"{FORMAT}-index",
+        "version": VERSION,
+        "pair": pair,
+        "size": size,
+        **{key: sum(entry[key] for entry in entries) for key in ("images", "labels", "rejects")},
+        "rejects_by_reason": dict(sorted(reasons.items())),
+        HASH_ATTRIBUTE: whole,
+        "shards": entries,
+    }
+    return index, b"".join(rejects)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_index(folder: Path) -> dict[str, Any]:
@@ -129,8 +151,16 @@ def read_index(folder: Path) -> dict[str, Any]:
         index = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DataError(f"{folder}: no {INDEX_NAME}; the job was not finished, run the same command again") from None
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, RecursionError) as err:
         raise DataError(f"{path}: not readable ({err})") from None
-    if not isinstance(index, dict) or not isinstance(index.get("shards"), list):
-        raise DataError(f"{path}: not an index of shards")
-    return index
+    entries = index.get("shards") if isinstance(index, dict) else None
+    good = isinstance(entries, list) and all(
+        isinstance(entry, dict)
+        and isinstance(entry.get("name"), str)
+        and Path(entry["name"]).name == entry["name"]
+        and isinstance(entry.get("original", {}), dict)
+        for entry in entries
+    )
+    if not good:
+        raise DataError(f"{path}: not an index of shards; make the data set again")
+    return dict(index)

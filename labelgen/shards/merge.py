@@ -8,8 +8,9 @@ from typing import Any
 
 from labelgen.errors import DataError
 from labelgen.files import make_folder, write_atomic
-from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, write_index
-from labelgen.shards.reader import ShardReader, find_shards
+from labelgen.shards.collection import find_shards
+from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, summarise, write_index
+from labelgen.shards.reader import ShardReader
 from labelgen.shards.schema import HASH_ATTRIBUTE
 
 __all__ = ["merge_shards"]
@@ -38,18 +39,24 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     if len(kinds) > 1:
         seen = "; ".join(f"{path}: {pair} {size}" for (pair, size), path in kinds.items())
         raise DataError(f"cannot merge shards of different pairs or sizes ({seen}); merge each kind on its own")
+    originals: dict[str, Any] = {}
+    known = {folder: _originals(folder) for folder in {path.parent for path in shards}}
     make_folder(out)
     written = []
     for number, path in enumerate(kept.values()):
         target = out / f"shard-{number:05d}.h5"
         write_atomic(target, path.read_bytes())
+        originals[target.name] = known[path.parent].get(path.name, {})
         written.append(target)
-    folders = sorted({path.parent for path in shards})
-    sources: dict[str, Any] = {}
-    for folder in folders:
-        if (folder / INDEX_NAME).is_file():
-            sources.update(read_index(folder).get("sources", {}))
-    summary = write_index(out, written, {"command": "merge", "inputs": [str(folder) for folder in folders]}, sources)
+    job = {"command": "merge", "inputs": sorted(str(folder) for folder in known)}
+    write_index(out, written, job, originals)
+    summary = summarise([ShardReader(path) for path in written])
     if len(kept) < len(shards):
         summary.warnings.append(f"{len(shards) - len(kept)} shards were there twice and are taken once")
     return summary
+
+
+def _originals(folder: Path) -> dict[str, Any]:
+    if not (folder / INDEX_NAME).is_file():
+        return {}
+    return {str(entry["name"]): entry.get("original", {}) for entry in read_index(folder)["shards"]}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -14,14 +16,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import DataError, LabelgenError
+from labelgen.errors import DataError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Pair, Rectification, parse_size
 from labelgen.labels import Labels, Sample, Split
 from labelgen.shards.rejects import Reject, from_json_lines
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION
 
-__all__ = ["ShardReader", "ShardSet", "find_shards"]
+__all__ = ["ShardReader"]
 
 _STALE_AFTER_UNPICKLING = ("_tables", "attributes")
 
@@ -70,6 +72,8 @@ class ShardReader:
             except FileNotFoundError:
                 raise DataError(f"{self.path}: no such shard") from None
             except OSError as err:
+                if err.errno == errno.EMFILE:
+                    raise DataError(f"{self.path}: too many open files; raise the limit (ulimit -n)") from None
                 reason = " ".join(str(err).split())
                 raise DataError(f"{self.path}: not a whole HDF5 file ({reason}); make it again") from None
             self._pid = os.getpid()
@@ -82,18 +86,28 @@ class ShardReader:
     def attributes(self) -> dict[str, Any]:
         """Format, version, pair, size, source, part, settings and content hash."""
         file = self._open()
-        if file.attrs.get("format") != FORMAT:
+        with self._damage():
+            found = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
+            missing = [key for key in (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE) if key not in found]
+            missing += [name for name in FIELDS if name not in file]
+        if found.get("format") != FORMAT:
             raise DataError(f"{self.path}: not a labelgen shard")
-        version = int(file.attrs.get("version", 0))
-        if version != VERSION:
+        if found.get("version") != VERSION:
             raise DataError(
-                f"{self.path}: shard format {version}, this labelgen reads {VERSION}; use the other version"
+                f"{self.path}: shard format {found.get('version')}, this labelgen reads {VERSION}; use the other one"
             )
-        missing = [key for key in (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE) if key not in file.attrs]
-        missing += [name for name in FIELDS if name not in file]
         if missing:
             raise DataError(f"{self.path}: damaged, it lacks {', '.join(missing)}; make it again")
-        return {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
+        return found
+
+    @contextlib.contextmanager
+    def _damage(self) -> Iterator[None]:
+        """What HDF5 and the parsers raise on flipped bits becomes one clear error."""
+        try:
+            yield
+        except (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError, OverflowError) as err:
+            reason = " ".join(str(err).split()) or type(err).__name__
+            raise DataError(f"{self.path}: damaged ({reason}); make it again") from None
 
     @property
     def pair(self) -> Pair:
@@ -108,21 +122,18 @@ class ShardReader:
     @property
     def settings(self) -> dict[str, Any]:
         """What made the labels."""
-        settings: dict[str, Any] = json.loads(self.attributes["settings"])
-        return settings
+        with self._damage():
+            return dict(json.loads(self.attributes["settings"]))
 
     @cached_property
     def _tables(self) -> dict[str, NDArray[Any]]:
         assert self.attributes is not None  # checks the format before anything is read
         file = self._open()
         tables: dict[str, NDArray[Any]] = {}
-        try:
+        with self._damage():
             for name, spec in FIELDS.items():
-                if name == "images/bytes":
-                    continue
-                tables[name] = file[name].asstr()[()] if spec.dtype == TEXT else file[name][()]
-        except (OSError, TypeError, ValueError) as err:
-            raise DataError(f"{self.path}: damaged ({' '.join(str(err).split())}); make it again") from None
+                if name != "images/bytes":
+                    tables[name] = file[name].asstr()[()] if spec.dtype == TEXT else file[name][()]
         return tables
 
     def table(self, name: str) -> NDArray[Any]:
@@ -140,7 +151,8 @@ class ShardReader:
     @cached_property
     def rejects(self) -> list[Reject]:
         """The inputs of this shard that gave no label."""
-        return from_json_lines(self.table("rejects").tobytes())
+        with self._damage():
+            return from_json_lines(self.table("rejects").tobytes())
 
     @cached_property
     def cameras(self) -> list[Camera]:
@@ -172,10 +184,11 @@ class ShardReader:
         """JPEG or PNG bytes of one sample."""
         start, stop = self.table("images/offset")[[index, index + 1]]
         file = self._open()
-        if self._images is None:
-            # Looking a data set up takes as long as reading a picture from it.
-            self._images = file["images/bytes"]
-        data: bytes = self._images[int(start) : int(stop)].tobytes()
+        with self._damage():
+            if self._images is None:
+                # Looking a data set up takes as long as reading a picture from it.
+                self._images = file["images/bytes"]
+            data: bytes = self._images[int(start) : int(stop)].tobytes()
         return data
 
     def rectification(self, index: int) -> Rectification:
@@ -207,58 +220,6 @@ class ShardReader:
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
-
-
-class ShardSet:
-    """Several shards read as one sequence of samples. Picklable, like its readers.
-
-    Args:
-        paths: shards, or folders of shards.
-
-    Raises:
-        DataError: none found.
-    """
-
-    def __init__(self, paths: Sequence[str | Path]) -> None:
-        self.readers = [ShardReader(path) for path in find_shards(paths)]
-        self._starts = np.concatenate([[0], np.cumsum([len(reader) for reader in self.readers])])
-
-    def __len__(self) -> int:
-        return int(self._starts[-1])
-
-    def locate(self, index: int) -> tuple[ShardReader, int]:
-        """Reader and number within it of a sample."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"sample {index} of {len(self)}")
-        index %= len(self)
-        shard = int(np.searchsorted(self._starts, index, side="right")) - 1
-        return self.readers[shard], index - int(self._starts[shard])
-
-    def __getitem__(self, index: int) -> Sample:
-        reader, row = self.locate(index)
-        return reader[row]
-
-    def table(self, name: str) -> NDArray[Any]:
-        """A field of all shards, one after the other; offsets excepted, which start anew in each."""
-        return np.concatenate([reader.table(name) for reader in self.readers])
-
-
-def find_shards(paths: Sequence[str | Path]) -> list[Path]:
-    """Shard files named by files and folders, in a fixed order; DataError where there are none."""
-    found: list[Path] = []
-    for path in map(Path, paths):
-        if path.is_dir():
-            inside = sorted(path.glob("shard-*.h5"))
-            if not inside:
-                raise DataError(f"{path}: no shards in it (shard-*.h5); make some with labelgen boxcars or bcs-masks")
-            found += inside
-        elif path.exists():
-            found.append(path)
-        else:
-            raise DataError(f"{path}: no such file or folder of shards")
-    if not found:
-        raise LabelgenError("no shards named; give files or folders")
-    return found
 
 
 def _size(size: NDArray[np.int32]) -> tuple[int, int] | None:

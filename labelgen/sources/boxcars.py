@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +22,7 @@ from labelgen.errors import CalibrationError, DataError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.projective import Array
 from labelgen.labels import Split
+from labelgen.sources.image_file import decode_image, read_image
 from labelgen.sources.pickles import load_pickle
 
 __all__ = ["BoxCars", "Instance"]
@@ -63,6 +63,13 @@ class BoxCars:
         split: name of the classification split to look up; None for none.
         default_split: the one to look up without `split`, where the data set has it.
 
+    Attributes:
+        annotations: path of the annotations that are read.
+        atlas: path of the atlas; None where crops come from image files.
+        split_name, splits: name of the classification split and path of the splits; None where none is used.
+        cameras, bad_cameras: the cameras by name, and what is wrong with those that are none.
+        vanishing_points: (3, 2) px by camera.
+
     Raises:
         DataError: wrong layout or damaged files.
     """
@@ -79,15 +86,26 @@ class BoxCars:
             )
         self.annotations = present[0]
         self.images = root / layout["images"]
-        self._atlas_path = root / layout["atlas"]
-        if self.from_atlas and not self._atlas_path.is_file():
+        self.atlas = None if self.images.is_dir() else root / layout["atlas"]
+        if self.atlas is not None and not self.atlas.is_file():
             raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
-        self._atlas: Any = load_pickle(self._atlas_path) if self.from_atlas else []
+        self._atlas: Any = load_pickle(self.atlas) if self.atlas is not None else []
         data = _load_annotations(self.annotations)
         self._samples: list[Any] = data["samples"]
-        self.cameras, self.bad_cameras = _cameras(data["cameras"])
-        self.vanishing_points = {name: _vps(data["cameras"][name], camera) for name, camera in self.cameras.items()}
-        self._splits = _load_splits(root / layout["splits"], split, default_split)
+        self.cameras: dict[str, Camera] = {}
+        self.vanishing_points: dict[str, Array] = {}
+        self.bad_cameras: dict[str, str] = {}
+        for key, entry in data["cameras"].items():
+            name = _text(key)
+            try:
+                camera = Camera.from_dict(entry, name=name)
+                self.vanishing_points[name] = _vanishing_points(entry, camera)
+                self.cameras[name] = camera
+            except CalibrationError as err:
+                self.bad_cameras[name] = str(err)
+        path = root / layout["splits"]
+        self.split_name, self._splits = _load_splits(path, split, default_split)
+        self.splits = None if self.split_name is None else path
 
     def __getstate__(self) -> dict[str, Any]:
         # Worker processes get their instances with the work and need only what reads crops.
@@ -96,13 +114,13 @@ class BoxCars:
     @property
     def from_atlas(self) -> bool:
         """Whether crops come from the atlas, which one process has to hold in memory."""
-        return not self.images.is_dir()
+        return self.atlas is not None
 
     def instances(self) -> Iterator[Instance]:
         """All instances, in the order of the data set."""
         for vehicle, sample in enumerate(self._samples):
-            instances = sample.get("instances") if isinstance(sample, Mapping) else None
-            if not isinstance(instances, list | tuple):
+            instances = _listed(sample.get("instances")) if isinstance(sample, Mapping) else None
+            if instances is None:
                 yield _damaged(vehicle, 0, "its vehicle has no list of instances")
                 continue
             for number, entry in enumerate(instances):
@@ -118,25 +136,18 @@ class BoxCars:
         Raises:
             DataError: missing or no picture.
         """
-        if self.from_atlas:
-            encoded = self._from_atlas(instance)
-        else:
-            path = self.images / instance.path
-            try:
-                encoded = np.fromfile(path, dtype=np.uint8)
-            except OSError as err:
-                raise DataError(f"{path}: {err.strerror or err}") from None
-        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
-        if image is None:
-            raise DataError("its picture cannot be decoded")
-        return image  # type: ignore[return-value]
-
-    def _from_atlas(self, instance: Instance) -> NDArray[np.uint8]:
+        # Messages go into the shards, which are the same wherever the data set lies: no paths of this machine.
+        if self.atlas is None:
+            return read_image(self.images / instance.path, what=f"{self.images.name}/{instance.path}")
+        what = f"{self.atlas.name}[{instance.vehicle}][{instance.number}]"
         try:
             encoded = self._atlas[instance.vehicle][instance.number]
-            return np.frombuffer(encoded, dtype=np.uint8)
-        except (LookupError, TypeError, ValueError) as err:
-            raise DataError(f"not in {self._atlas_path.name} ({err})") from None
+        except (LookupError, TypeError):
+            raise DataError(f"{what}: not there") from None
+        try:
+            return decode_image(np.frombuffer(encoded, dtype=np.uint8), what)
+        except (TypeError, ValueError, BufferError):
+            raise DataError(f"{what}: not an image") from None
 
 
 def _load_annotations(path: Path) -> dict[str, Any]:
@@ -148,48 +159,63 @@ def _load_annotations(path: Path) -> dict[str, Any]:
             data = json.loads(path.read_text(encoding="utf-8"))
         except OSError as err:
             raise DataError(f"{path}: {err.strerror or err}") from None
-        except ValueError as err:
+        except (ValueError, RecursionError) as err:
             raise DataError(f"{path}: not JSON ({err}); get the file from its publisher again") from None
-    wrong = not isinstance(data, dict) or not isinstance(data.get("samples"), list)
-    if wrong or not isinstance(data.get("cameras"), dict):
+    samples = _listed(data.get("samples")) if isinstance(data, dict) else None
+    if samples is None or not isinstance(data.get("cameras"), dict):
         raise DataError(f"{path}: not BoxCars116k annotations; expected 'cameras' and 'samples' in it")
-    return dict(data)
+    return {"cameras": data["cameras"], "samples": samples}
 
 
-def _cameras(entries: Mapping[str, Any]) -> tuple[dict[str, Camera], dict[str, str]]:
-    good: dict[str, Camera] = {}
-    bad: dict[str, str] = {}
-    for name, entry in entries.items():
-        try:
-            good[name] = Camera.from_dict(entry, name=str(name))
-        except CalibrationError as err:
-            bad[name] = str(err)
-    return good, bad
+def _listed(value: Any) -> list[Any] | None:
+    """The items of a list in any of the forms that annotations have them in; None if it is none."""
+    is_list = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1)
+    return list(value) if is_list else None
 
 
-def _vps(entry: Mapping[str, Any], camera: Camera) -> Array:
-    """(3, 2) vanishing points. The annotated boxes follow the data set's own VP3, not the derived one."""
-    vp3 = np.asarray(entry.get("vp3", camera.vp3), dtype=np.float64)
-    if vp3.shape != (2,) or not np.isfinite(vp3).all():
-        vp3 = camera.vp3
+def _text(value: Any) -> str:
+    """Text that every file takes, from any name: keys of cameras may be numbers, and JSON may hold half characters."""
+    return str(value).encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+
+
+def _points(value: Any, shape: tuple[int, ...]) -> Array | None:
+    """Finite coordinates of this shape, or None."""
+    try:
+        points = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return points if points.shape == shape and np.isfinite(points).all() else None
+
+
+def _vanishing_points(entry: Mapping[str, Any], camera: Camera) -> Array:
+    """(3, 2) vanishing points. The annotated boxes follow the data set's own VP3, not the derived one.
+
+    Raises:
+        CalibrationError: VP3 is there and damaged.
+    """
+    given = entry.get("vp3")
+    vp3 = camera.vp3 if given is None else _points(given, (2,))
+    if vp3 is None:
+        raise CalibrationError(f"camera {camera.name}: its vp3 is not two finite numbers")
     return np.stack([camera.vp1, camera.vp2, vp3])
 
 
-def _load_splits(path: Path, asked: str | None, default: str) -> dict[int, Split]:
+def _load_splits(path: Path, asked: str | None, default: str) -> tuple[str | None, dict[int, Split]]:
+    """Name of the split in use and the part of each vehicle; None and nothing where there is none."""
     if not path.is_file():
         if asked:
             raise DataError(f"--split {asked}: there is no {path}")
-        return {}
+        return None, {}
     data = load_pickle(path)
     known = data if isinstance(data, dict) else {}
     name = asked or default
     if name not in known:
         if asked:
-            raise DataError(f"--split {asked}: not in {path}; it has {', '.join(map(str, known)) or 'none'}")
-        return {}
+            raise DataError(f"--split {asked}: not in {path}; it has {', '.join(map(_text, known)) or 'none'}")
+        return None, {}
     try:
-        return {int(vehicle): split for part, split in _SPLITS.items() for vehicle, _ in known[name][part]}
-    except (KeyError, TypeError, ValueError):
+        return name, {int(vehicle): split for part, split in _SPLITS.items() for vehicle, _ in known[name][part]}
+    except (LookupError, TypeError, ValueError, OverflowError):
         raise DataError(f"{path}: split {name!r} is not of the form train, validation, test") from None
 
 
@@ -200,20 +226,21 @@ def _damaged(vehicle: int, number: int, problem: str) -> Instance:
 
 def _instance(vehicle: int, number: int, sample: Mapping[str, Any], entry: Any) -> Instance:
     try:
-        path, camera, to_camera = str(entry["path"]), str(sample["camera"]), bool(sample["to_camera"])
-        vertices = np.asarray(entry["3DBB"], dtype=np.float64)
-        offset = np.asarray(entry["3DBB_offset"], dtype=np.float64)
+        path, camera, to_camera = str(entry["path"]), _text(sample["camera"]), bool(sample["to_camera"])
+        vertices, offset = _points(entry["3DBB"], (8, 2)), _points(entry["3DBB_offset"], (2,))
     except KeyError as err:
         return _damaged(vehicle, number, f"its entry lacks {err}")
-    except (TypeError, ValueError):
+    except (IndexError, TypeError, ValueError, RecursionError):
         return _damaged(vehicle, number, "its entry is not of the expected form")
-    problem = ""
-    if vertices.shape != (8, 2) or not np.isfinite(vertices).all():
-        problem = "its 3D box is not 8 finite points"
-    elif offset.shape != (2,) or not np.isfinite(offset).all():
-        problem = "its 3DBB_offset is not 2 finite numbers"
+    name = _text(path)
+    if name != path:
+        problem = "its path is no file's name"
     elif Path(path).is_absolute() or ".." in Path(path).parts:
         problem = f"its path {path!r} leads out of the data set"
-    if problem:
-        vertices, offset = np.full((8, 2), np.nan), np.full(2, np.nan)
-    return Instance(vehicle, number, path, camera, to_camera, vertices, offset, problem)
+    elif vertices is None:
+        problem = "its 3D box is not 8 finite points"
+    elif offset is None:
+        problem = "its 3DBB_offset is not 2 finite numbers"
+    else:
+        return Instance(vehicle, number, path, camera, to_camera, vertices, offset)
+    return replace(_damaged(vehicle, number, problem), path=name, camera=camera, to_camera=to_camera)

@@ -7,12 +7,12 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.sources.frames import Frame, always
+from labelgen.sources.image_file import read_image
 
 __all__ = ["ImageFolder", "natural_key"]
 
@@ -70,15 +70,7 @@ class ImageFolder:
 
 
 def _read(path: Path) -> NDArray[np.uint8] | None:
-    # Through memory: OpenCV neither opens every path a file system allows nor keeps quiet when it cannot.
     try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError:
+        return read_image(path)
+    except DataError:
         return None
-    if data.size == 0:
-        return None
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR)
-    except cv2.error:
-        return None
-    return None if image is None else np.asarray(image, dtype=np.uint8)

@@ -1,32 +1,133 @@
 """Reading data sets that come as pickles, without trusting them.
 
-A pickle is a program. Only the handful of constructors that plain data and NumPy arrays need are allowed;
-anything else stops the reading before it is called.
+A pickle is a program. Only the handful of constructors that plain data and NumPy arrays need are allowed, each
+through a stand-in of our own; anything else stops the reading before it is called. NumPy's own constructors are not
+called: a pickle may tell them that its bytes are pointers, or lie outside of the array. The stand-ins collect what an
+array is made of, and its bytes become an array of plain numbers or text after checking.
 """
 
 from __future__ import annotations
 
-import importlib
+import math
 import pickle
+import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 
 __all__ = ["load_pickle"]
 
+# Codes NumPy writes for types without pointers, names or parts, and "O" for Python objects.
+_PLAIN = re.compile(r"[<>|=]?(b1|[iu][1248]|f(2|4|8|12|16)|c(8|16|24|32)|[SU][1-9][0-9]{0,8}|O[48]?)")
 
-def _latin1_bytes(text: str, encoding: str = "latin1") -> bytes:
+
+class _DType:
+    """A NumPy data type as the pickle describes it."""
+
+    __slots__ = ("type",)
+
+    def __init__(self, code: Any = None, align: Any = False, copy: Any = True) -> None:
+        if not isinstance(code, str) or not _PLAIN.fullmatch(code):
+            raise DataError(f"it holds an array of {code!r}, which is neither numbers nor text")
+        self.type: np.dtype[Any] = np.dtype(code)
+
+    def __setstate__(self, state: Any) -> None:
+        """Takes the byte order alone; alignment and flags follow from the type."""
+        if not (isinstance(state, tuple) and len(state) == 8 and state[1] in ("<", ">", "|", "=")):
+            raise DataError("an array's type is not described the way NumPy writes it")
+        if any(part is not None for part in state[2:5]) or state[5] not in (-1, self.type.itemsize):
+            raise DataError("an array's type has parts or a size of its own")
+        self.type = self.type.newbyteorder(state[1])
+
+
+class _Array:
+    """An array as the pickle describes it; `load_pickle` puts `content` in its place."""
+
+    __slots__ = ("content",)
+    __hash__ = None  # type: ignore[assignment]  # as an array's
+
+    def __init__(self, kind: Any, shape: Any, dtype: Any) -> None:
+        if not isinstance(kind, _StandIn) or kind.name != "ndarray" or shape != (0,):
+            raise DataError("an array is not built the way NumPy writes it")
+        self.content: NDArray[Any] | None = None
+
+    def __setstate__(self, state: Any) -> None:
+        if not isinstance(state, tuple) or len(state) != 5:
+            raise DataError("an array is not filled the way NumPy writes it")
+        _, shape, dtype, fortran, content = state
+        if isinstance(dtype, _DType) and dtype.type.kind == "O":
+            self.content = _objects(content, shape)
+        else:
+            self.content = _numbers(content, dtype, shape, "F" if fortran is True else "C")
+
+
+def _numbers(content: Any, dtype: Any, shape: Any, order: Any) -> NDArray[Any]:
+    """Array from raw bytes, of a plain type, every item a possible value of it."""
+    if isinstance(content, str):  # Python 2's bytes
+        content = _latin1_bytes(content)
+    if not isinstance(dtype, _DType) or dtype.type.kind == "O" or not isinstance(content, bytes | bytearray):
+        raise DataError("an array's content does not fit its type")
+    if len(content) != _item_count(shape) * dtype.type.itemsize or order not in ("C", "F"):
+        raise DataError("an array's content does not fit its size")
+    array = np.ndarray(shape, dtype.type, bytes(content), order=order).copy(order=order)
+    if dtype.type.kind == "b" and (array.view(np.uint8) > 1).any():
+        raise DataError("an array of truth values holds others")
+    if dtype.type.kind == "U" and array.size:
+        points = np.frombuffer(content, np.dtype(np.uint32).newbyteorder(dtype.type.byteorder))
+        if points.max() > 0x10FFFF:
+            raise DataError("an array of text holds what are no characters")
+    return array
+
+
+def _objects(content: Any, shape: Any) -> NDArray[Any]:
+    """Array of Python objects, from a list of them and nothing else."""
+    if not isinstance(content, list) or len(content) != _item_count(shape):
+        raise DataError("an array of objects is not filled with a list of its size")
+    array = np.empty(len(content), dtype=object)
+    for i, item in enumerate(content):
+        array[i] = item
+    return array.reshape(shape)
+
+
+def _item_count(shape: Any) -> int:
+    if not isinstance(shape, tuple) or len(shape) > 32 or not all(type(n) is int and n >= 0 for n in shape):
+        raise DataError("an array's shape is no shape")
+    return math.prod(shape)
+
+
+def _scalar(dtype: Any, content: Any) -> Any:
+    """Stand-in for NumPy's: one number or text."""
+    return _numbers(content, dtype, (1,), "C")[0]
+
+
+def _frombuffer(content: Any, dtype: Any, shape: Any, order: Any, axes: Any = None) -> NDArray[Any]:
+    """Stand-in for NumPy's, which protocol 5 uses."""
+    if order == "K" and isinstance(axes, tuple):
+        return _numbers(content, dtype, shape, "C").transpose(axes)
+    return _numbers(content, dtype, shape, order)
+
+
+def _latin1_bytes(text: Any, encoding: Any = "latin1") -> bytes:
     """Stand-in for `_codecs.encode`, which Python 3 calls to store bytes in old protocols."""
-    if encoding.replace("-", "").replace("_", "").lower() not in ("latin1", "iso88591"):
+    if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
         raise DataError(f"a bytes value asks for the codec {encoding!r}")
     return text.encode("latin-1")
 
 
-def _bytearray(content: Any = b"", encoding: str = "latin1") -> bytearray:
+def _bytes(*arguments: Any) -> bytes:
+    """Stand-in for `bytes`, by which old protocols store empty ones."""
+    if arguments:
+        raise DataError("a bytes value is made of something else")
+    return b""
+
+
+def _bytearray(content: Any = b"", encoding: Any = "latin1") -> bytearray:
     """Stand-in for `bytearray`, which would take a number and fill the memory."""
     if isinstance(content, str):
         content = _latin1_bytes(content, encoding)
@@ -35,35 +136,52 @@ def _bytearray(content: Any = b"", encoding: str = "latin1") -> bytearray:
     return bytearray(content)
 
 
-def _reconstruct(kind: Any, shape: Any, dtype: Any) -> Any:
-    """Stand-in for NumPy's: an empty array to be filled by its state, as every array's pickle begins."""
-    if kind is not np.ndarray or shape != (0,):
-        raise DataError("an array is not built the way NumPy writes it")
-    return _numpy_core("multiarray", "_reconstruct")(kind, shape, dtype)
+def _no_array(*arguments: Any) -> Any:
+    raise DataError("an array is not built the way NumPy writes it")
 
 
-def _numpy_core(module: str, name: str) -> Any:
-    # NumPy moved its core; old pickles keep the old name.
-    core = importlib.import_module("numpy._core" if hasattr(np, "_core") else "numpy.core")
-    return getattr(getattr(core, module), name)
+class _StandIn:
+    """A name that a pickle may call. Unlike a function, it has nothing that the pickle could set."""
+
+    __slots__ = ("_function", "name")
+
+    def __init__(self, name: str, function: Callable[..., Any]) -> None:
+        self.name = name
+        self._function = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._function(*arguments)
+
+    def __setstate__(self, state: Any) -> None:
+        raise DataError(f"it sets the state of {self.name}, which has none")
 
 
-_BUILTINS = {"set": set, "frozenset": frozenset, "complex": complex, "bytearray": _bytearray}
+_BUILTINS = {
+    "set": set,
+    "frozenset": frozenset,
+    "complex": complex,
+    "bytearray": _StandIn("bytearray", _bytearray),
+    "bytes": _StandIn("bytes", _bytes),
+}
+_NUMPY = {"ndarray": _StandIn("ndarray", _no_array), "dtype": _StandIn("dtype", _DType)}
+_CORE = {
+    "multiarray._reconstruct": _StandIn("_reconstruct", _Array),
+    "multiarray.scalar": _StandIn("scalar", _scalar),
+    "numeric._frombuffer": _StandIn("_frombuffer", _frombuffer),
+}
+_ENCODE = _StandIn("encode", _latin1_bytes)
 
 
 def _allowed(module: str, name: str) -> Any:
     if module in ("builtins", "__builtin__"):
         return _BUILTINS.get(name)
-    core = module.removeprefix("numpy._core.").removeprefix("numpy.core.")
-    if core != module and (core, name) == ("multiarray", "_reconstruct"):
-        return _reconstruct
-    if core != module and (core, name) in (("multiarray", "scalar"), ("numeric", "_frombuffer")):
-        return _numpy_core(core, name)
-    if module == "numpy" and name in ("ndarray", "dtype"):
-        return getattr(np, name)
+    if module == "numpy":
+        return _NUMPY.get(name)
     if (module, name) == ("_codecs", "encode"):
-        return _latin1_bytes
-    return None
+        return _ENCODE
+    # NumPy moved its core; old pickles keep the old name.
+    core = module.removeprefix("numpy._core.").removeprefix("numpy.core.")
+    return _CORE.get(f"{core}.{name}") if core != module else None
 
 
 class _DataUnpickler(pickle.Unpickler):
@@ -74,8 +192,40 @@ class _DataUnpickler(pickle.Unpickler):
         return found
 
 
+def _finish(value: Any, seen: dict[int, tuple[Any, Any]]) -> Any:
+    """The value with its collected arrays in place. `seen` has, by id, what was met, kept alive, and its result."""
+    kind = type(value)
+    if kind not in (list, dict, tuple, _Array, _DType):
+        return value
+    if id(value) in seen:
+        return seen[id(value)][1]
+    result = value
+    if kind is _DType:
+        return value.type
+    if kind is _Array:
+        result = value.content
+        if result is None:
+            raise DataError("an array is not filled the way NumPy writes it")
+        seen[id(value)] = value, result
+        if result.dtype.kind == "O":
+            flat = result.reshape(-1)
+            for i, item in enumerate(flat):
+                flat[i] = _finish(item, seen)
+        return result
+    if kind is tuple:
+        result = tuple(_finish(item, seen) for item in value)
+        seen[id(value)] = value, result
+        return result
+    seen[id(value)] = value, value
+    for key, item in value.items() if kind is dict else enumerate(value):
+        value[key] = _finish(item, seen)
+    return value
+
+
 def load_pickle(path: str | Path) -> Any:
     """Load a pickle that holds only plain data and NumPy arrays, from Python 2 (as latin-1) or 3.
+
+    Arrays hold truth values, numbers, text, bytes or Python objects; records and dates are refused.
 
     Raises:
         DataError: no such file, damaged, or holding anything but data; nothing in it is run.
@@ -83,16 +233,23 @@ def load_pickle(path: str | Path) -> Any:
     path = Path(path)
     try:
         with path.open("rb") as file:
-            return _DataUnpickler(file, encoding="latin-1").load()
+            return _finish(_DataUnpickler(file, encoding="latin-1").load(), {})
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
     except OSError as err:
         raise DataError(f"{path}: {err.strerror or err}") from None
     except DataError as err:
-        raise DataError(f"{path}: refused, nothing was run: {err}; get the file from its publisher again") from None
+        detail = _one_line(str(err))
+        raise DataError(f"{path}: refused, nothing was run: {detail}; get the file from its publisher again") from None
     except (
         pickle.UnpicklingError, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError,
         MemoryError, OverflowError, RecursionError, struct.error,
     ) as err:  # fmt: skip
-        detail = " ".join(str(err).split()) or type(err).__name__
+        detail = _one_line(str(err)) or type(err).__name__
         raise DataError(f"{path}: not a readable pickle ({detail}); get the file from its publisher again") from None
+
+
+def _one_line(text: str) -> str:
+    """What a file says, fit for a message."""
+    safe = " ".join(text.encode("utf-8", "backslashreplace").decode().split())
+    return safe if len(safe) <= 200 else safe[:200] + "..."

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.sources.frames import open_frames
+from labelgen.sources.image_file import read_image
 from labelgen.sources.scenes import Scene
 
 __all__ = ["read_picture"]
@@ -29,20 +27,11 @@ def read_picture(scene: Scene, frame: int = 0) -> NDArray[np.uint8]:
     """
     path = scene.picture_path
     if path is not None and path.suffix.lower() in _IMAGE_SUFFIXES and (frame == 0 or path == scene.frames_path):
-        return _read_image(path)
+        return read_image(path)
+    if scene.frames_path is None and path is not None:
+        raise DataError(f"{scene.name}: frame {frame} needs its video, which is not there; frame 0 is its empty road")
     if scene.frames_path is None:
         raise DataError(f"{scene.name}: it has neither a video nor a picture of the empty road")
     for found in open_frames(scene.frames_path).frames(lambda n: n == frame):
         return found.image
     raise DataError(f"{scene.frames_path}: it has no frame {frame}")
-
-
-def _read_image(path: Path) -> NDArray[np.uint8]:
-    try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError as err:
-        raise DataError(f"{path}: {err.strerror or err}") from None
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    if image is None:
-        raise DataError(f"{path}: not an image")
-    return np.asarray(image, dtype=np.uint8)

@@ -22,6 +22,7 @@ from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask, binary_mask
 from labelgen.labels import Split
 from labelgen.manifest import load_manifest
+from labelgen.sources.image_file import read_image
 
 __all__ = ["Scene", "find_scene", "read_mask"]
 
@@ -89,13 +90,20 @@ def find_scene(
     is_session = (folder / layout["road_mask"]).is_file() or (folder / layout["ground_truth"]).is_file()
     if is_session and (path.is_dir() or path.name in (*layout["videos"], layout["empty_road"])):
         return _session(path, folder, layout, calibration, road_mask, need_frames)
-    stem = path.name if path.is_dir() else path.stem
     missing: list[str] = []
-    beside = path.resolve().parent
-    calibration = _choose("calibration", "--calibration", calibration, [beside / f"{stem}.calibration.json"], missing)
-    road_mask = _choose("road mask", "--road-mask", road_mask, [beside / f"{stem}.mask.png"], missing)
+    places = _beside(path, ".calibration.json")
+    calibration = _choose("calibration", "--calibration", calibration, places, missing)
+    road_mask = _choose("road mask", "--road-mask", road_mask, _beside(path, ".mask.png"), missing)
     _complain(path, missing)
-    return Scene(stem, path, calibration, road_mask, path if path.is_file() else None)
+    name = path.resolve().name if path.is_dir() else path.stem
+    return Scene(name, path, calibration, road_mask, path if path.is_file() else None)
+
+
+def _beside(path: Path, suffix: str) -> list[Path]:
+    """Where NAME plus suffix may be: beside a folder by its real name, beside a file or what it is a link to."""
+    if path.is_dir():
+        return [path.resolve().parent / (path.resolve().name + suffix)]
+    return [place.parent / (place.stem + suffix) for place in dict.fromkeys([path.absolute(), path.resolve()])]
 
 
 def _session(
@@ -151,10 +159,6 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
         DataError: missing or no image.
     """
     try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError as err:
-        raise DataError(f"road mask {path}: {err.strerror or err}") from None
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
-        raise DataError(f"road mask {path}: not an image")
-    return binary_mask(image)
+        return binary_mask(read_image(path, cv2.IMREAD_UNCHANGED))
+    except DataError as err:
+        raise DataError(f"road mask {err}") from None

@@ -24,9 +24,6 @@ from labelgen.sources.frames import Frame, always
 
 __all__ = ["VideoStream", "is_stream"]
 
-STALL_S = 10.0
-"""Seconds without data after which a stream counts as stalled."""
-
 _PROTOCOLS = ("http", "https", "rtsp", "rtmp", "rtp", "udp", "tcp", "srt")
 # What these protocols need below them; never the file system.
 _OPEN_OPTIONS = {"protocol_whitelist": ",".join([*_PROTOCOLS, "tls", "httpproxy", "crypto"]), "rtsp_transport": "tcp"}
@@ -58,7 +55,7 @@ class VideoStream:
 
     frame_count: int | None = None
 
-    def __init__(self, url: str, *, duration_s: float | None = None, stall_s: float = STALL_S) -> None:
+    def __init__(self, url: str, *, duration_s: float | None = None, stall_s: float = 10.0) -> None:
         self.url, self.path = url, Path(url.rsplit("/", 1)[-1].split("?")[0] or "stream")
         self.name = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.path.stem) or "stream"
         self.problems: list[str] = []

@@ -13,7 +13,7 @@ from labelgen.synth.shapes import Shape
 
 __all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line"]
 
-MIRROR = 0.11
+MIRROR = 0.07
 """How far a wing mirror stands out from the body, metres."""
 _FINE = 0.01
 
@@ -44,9 +44,9 @@ def top_line(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     ]
     knots = [k for i, k in enumerate(knots) if i == 0 or k[0] > knots[i - 1][0]]
     d = np.arange(0, end + _FINE / 2, _FINE)
-    z = np.interp(d, *np.array(knots).T)
+    z: Any = np.interp(d, *np.array(knots).T)
     pad = 30
-    smooth = cv2.GaussianBlur(np.pad(z, pad, mode="edge")[None], (0, 0), 4.5)[0, pad:-pad]
+    smooth: Any = cv2.GaussianBlur(np.pad(z, pad, mode="edge")[None], (0, 0), 4.5)[0, pad:-pad]
     return d, smooth
 
 
@@ -70,8 +70,8 @@ def _stations(shape: Shape) -> NDArray[np.float64]:
     ends = [0, 0.02, 0.05, 0.1, 0.18, 0.3, 0.45, 0.65]
     d = [*ends, *(end - e for e in ends), *np.arange(0.8, end - 0.7, 0.3)]
     d += [m + o for m in marks for o in (-0.16, -0.08, -0.03, 0.03, 0.08, 0.16)]
-    d = np.unique(np.round(np.clip(d, 0, end), 3))
-    return d[np.r_[True, np.diff(d) > 0.012]]
+    ordered = np.unique(np.round(np.clip(d, 0, end), 3))
+    return np.asarray(ordered[np.r_[True, np.diff(ordered) > 0.012]])
 
 
 def _shell(shape: Shape) -> Mesh:
@@ -108,7 +108,7 @@ def _shell(shape: Shape) -> Mesh:
 def _mirrors(shape: Shape) -> list[Mesh]:
     d = shape.cowl[0] + 0.42 * (shape.roof_front[0] - shape.cowl[0]) + 0.08
     x, out = shape.length / 2 - d, shape.width / 2
-    tall = 0.12 if shape.cargo is None and shape.kind != "bus" else 0.42
+    tall = 0.10 if shape.cargo is None and shape.kind != "bus" else 0.35
     z = shape.belt + 0.02
     lows = [(x - 0.04, -out - MIRROR, z), (x - 0.04, out - 0.06, z)]
     return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.06, z + tall), chart=Chart.MIRROR) for low in lows]

@@ -1,9 +1,9 @@
 """A synthetic data set in the layout of BoxCars116k.
 
-    dataset.pkl, json_data/dataset.json   cameras and samples, the same content
-    images/CAMERA/N/VEHICLE_INSTANCE.png  crops
-    atlas.pkl                             the same crops, JPEG-encoded: [vehicle][instance]
-    classification_splits.pkl             which vehicle serves for what
+dataset.pkl, json_data/dataset.json   cameras and samples, the same content
+images/CAMERA/N/VEHICLE_INSTANCE.png  crops
+atlas.pkl                             the same crops, JPEG-encoded: [vehicle][instance]
+classification_splits.pkl             which vehicle serves for what
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import OutputError
+from labelgen.files import make_folder, write_atomic
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.render import Renderer
@@ -73,7 +74,7 @@ def write_boxcars_tree(
     if (out / "dataset.pkl").exists() and not overwrite:
         raise OutputError(f"{out}: a data set is there already; use --overwrite or another --out")
     shutil.rmtree(out / "images", ignore_errors=True)
-    (out / "json_data").mkdir(parents=True, exist_ok=True)
+    make_folder(out / "json_data")
     names = CAMERAS[: max(1, min(len(CAMERAS), vehicles // 2))]
     shares = [len(range(k, vehicles, len(names))) for k in range(len(names))]
     cameras: dict[str, Any] = {}
@@ -93,9 +94,8 @@ def write_boxcars_tree(
         (out / "atlas.pkl", atlas),
         (out / "classification_splits.pkl", _splits(samples, seed)),
     ):
-        with path.open("wb") as file:
-            pickle.dump(content, file, protocol=2)
-    (out / "json_data" / "dataset.json").write_text(json.dumps(dataset), encoding="utf-8")
+        write_atomic(path, pickle.dumps(content, protocol=2))
+    write_atomic(out / "json_data" / "dataset.json", json.dumps(dataset).encode())
     instances = sum(len(s["instances"]) for s in samples)
     return {"samples": len(samples), "instances": instances, "cameras": len(cameras), "root": str(out)}
 
@@ -137,7 +137,7 @@ def _samples(
     trips = random_traffic(scene, _WINDOW_S * max(1, count / 10), seed * 1009 + number, per_minute=14)
     rng = np.random.default_rng([seed, 22, number])
     candidates = [(trip, views) for trip in trips if (views := _views(scene, trip))]
-    rng.shuffle(candidates)  # type: ignore[arg-type]
+    rng.shuffle(candidates)
     ways = [[c for c in candidates if c[0].lane.heading == h] for h in (-1, 1)]
     chosen = [way[k] for k in range(max(map(len, ways))) for way in ways if k < len(way)][:count]
     assert scene.background is not None
@@ -149,8 +149,8 @@ def _samples(
             image = _frame(scene, renderer, trips, view, light, vehicle_id * 10 + instance)
             entry, crop = _instance(scene, view, image, vehicle_id, instance, rng)
             path = images / entry["path"]
-            path.parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(path), crop)
+            make_folder(path.parent)
+            write_atomic(path, bytes(cv2.imencode(".png", crop)[1]))
             crops.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].reshape(-1))
             instances.append(entry)
         sample = {

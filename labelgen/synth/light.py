@@ -63,36 +63,40 @@ class Light:
     @property
     def ambient(self) -> NDArray[np.float64]:
         """(3,) irradiance of the whole sky on a surface that faces up."""
-        return 0.35 * self.sky_low + 0.65 * self.sky_high
+        return np.asarray(0.35 * self.sky_low + 0.65 * self.sky_high)
 
     @property
     def road_radiance(self) -> NDArray[np.float64]:
         """(3,) radiance of sunlit asphalt."""
-        return self.road * (self.sun * max(self.sun_direction[2], 0.0) + self.ambient)
+        return np.asarray(self.road * (self.sun * max(self.sun_direction[2], 0.0) + self.ambient))
 
     def packed(self) -> NDArray[np.float64]:
         """(19,) as `raster.shade` takes it."""
         lit = 1.6 / self.exposure
-        parts = [self.sun_direction, self.road_radiance, self.sun, self.horizon, self.sky_low, self.sky_high, [lit]]
-        return np.concatenate(parts)
+        parts = (self.sun_direction, self.road_radiance, self.sun, self.horizon, self.sky_low, self.sky_high)
+        return np.append(np.concatenate(parts), lit)
 
 
 _RECIPES: dict[Weather, dict[str, Any]] = {
     Weather.DAY: {
-        "height": (30, 60), "sun": (1.25, 1.17, 1.02), "low": (0.40, 0.46, 0.54), "high": (0.11, 0.16, 0.25),
-        "horizon": (0.05, 0.06, 0.045), "road": (0.15, 0.148, 0.143), "exposure": 1.15, "noise": 1.8, "shutter": 1 / 800,
+        "height": (30, 60), "sun": (1.24, 1.19, 1.10), "low": (0.34, 0.38, 0.44),
+        "high": (0.075, 0.10, 0.155), "horizon": (0.05, 0.06, 0.045), "road": (0.15, 0.148, 0.143),
+        "exposure": 1.2, "noise": 1.5, "shutter": 1 / 800,
     },
     Weather.OVERCAST: {
-        "height": (40, 70), "sun": (0.03, 0.03, 0.03), "low": (0.62, 0.64, 0.67), "high": (0.60, 0.63, 0.67),
-        "horizon": (0.09, 0.095, 0.085), "road": (0.15, 0.15, 0.148), "exposure": 1.25, "noise": 2.6, "shutter": 1 / 400,
+        "height": (40, 70), "sun": (0.03, 0.03, 0.03), "low": (0.62, 0.64, 0.67),
+        "high": (0.60, 0.63, 0.67), "horizon": (0.09, 0.095, 0.085), "road": (0.15, 0.15, 0.148),
+        "exposure": 1.55, "noise": 1.7, "shutter": 1 / 400,
     },
     Weather.DUSK: {
-        "height": (4, 9), "sun": (0.07, 0.035, 0.015), "low": (0.16, 0.12, 0.11), "high": (0.055, 0.065, 0.10),
-        "horizon": (0.012, 0.012, 0.013), "road": (0.14, 0.138, 0.14), "exposure": 3.4, "noise": 5.0, "shutter": 1 / 120,
+        "height": (4, 9), "sun": (0.07, 0.035, 0.015), "low": (0.16, 0.12, 0.11),
+        "high": (0.055, 0.065, 0.10), "horizon": (0.012, 0.012, 0.013), "road": (0.14, 0.138, 0.14),
+        "exposure": 3.6, "noise": 3.4, "shutter": 1 / 120,
     },
     Weather.RAIN: {
-        "height": (40, 70), "sun": (0.0, 0.0, 0.0), "low": (0.40, 0.42, 0.45), "high": (0.36, 0.38, 0.42),
-        "horizon": (0.06, 0.065, 0.06), "road": (0.055, 0.056, 0.058), "exposure": 1.9, "noise": 3.5, "shutter": 1 / 250,
+        "height": (40, 70), "sun": (0.0, 0.0, 0.0), "low": (0.40, 0.42, 0.45),
+        "high": (0.36, 0.38, 0.42), "horizon": (0.06, 0.065, 0.06), "road": (0.055, 0.056, 0.058),
+        "exposure": 2.0, "noise": 2.3, "shutter": 1 / 250,
     },
 }  # fmt: skip
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +46,24 @@ class Mesh:
     charts: NDArray[np.uint8]
 
 
+@numba.njit(cache=True, nogil=True)
+def _corner_normals(
+    unit: NDArray[Any], area_normals: NDArray[Any], order: NDArray[Any], starts: NDArray[Any], limit: float
+) -> NDArray[Any]:
+    """Per corner the mean normal of the faces at its vertex that turn little from its own, weighted by area."""
+    out = np.zeros((len(order), 3))
+    for group in range(len(starts) - 1):
+        for i in range(starts[group], starts[group + 1]):
+            corner = order[i]
+            own = unit[corner // 3]
+            for j in range(starts[group], starts[group + 1]):
+                face = order[j] // 3
+                if own[0] * unit[face, 0] + own[1] * unit[face, 1] + own[2] * unit[face, 2] > limit:
+                    out[corner] += area_normals[face]
+            out[corner] /= max(np.sqrt((out[corner] ** 2).sum()), 1e-12)
+    return out
+
+
 def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArray[Any] | int, crease: float) -> Mesh:
     """Mesh whose corner normals average the faces around a vertex that turn less than `crease` degrees."""
     vertices = np.asarray(vertices, dtype=np.float64)
@@ -54,22 +73,15 @@ def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArr
     areas = np.linalg.norm(area_normals, axis=1)
     keep = areas > 1e-9
     triangles, area_normals, areas = triangles[keep], area_normals[keep], areas[keep]
-    charts = np.broadcast_to(np.asarray(charts, dtype=np.uint8), len(keep))[keep].copy()
+    kept_charts = np.broadcast_to(np.asarray(charts, dtype=np.uint8), len(keep))[keep].copy()
     unit = area_normals / areas[:, None]
     # Vertices at one place count as one, so that seams of a loft stay smooth.
     _, merged = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
     corner_vertex = merged.ravel()[triangles].ravel()
     order = np.argsort(corner_vertex, kind="stable")
     starts = np.flatnonzero(np.r_[True, np.diff(corner_vertex[order]) > 0, True])
-    normals = np.repeat(unit, 3, axis=0)
-    limit = np.cos(np.radians(crease))
-    for start, stop in zip(starts[:-1], starts[1:], strict=True):
-        corners = order[start:stop]
-        faces = corners // 3
-        near = (unit[faces] @ unit[faces].T) > limit
-        mean = near @ area_normals[faces]
-        normals[corners] = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-    return Mesh(vertices, triangles, normals.reshape(-1, 3, 3).astype(np.float32), charts)
+    normals = _corner_normals(unit, area_normals, order, starts, float(np.cos(np.radians(crease))))
+    return Mesh(vertices, triangles, normals.reshape(-1, 3, 3).astype(np.float32), kept_charts)
 
 
 def _charts_by_normal(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.uint8]:

@@ -117,7 +117,7 @@ CURVE = _camera_curve()
 def _curve(value: float, curve: _F) -> float:
     at = min(max(value, 0.0), 4.0) * 1024
     low = int(at)
-    return curve[low] + (at - low) * (curve[low + 1] - curve[low])
+    return float(curve[low] + (at - low) * (curve[low + 1] - curve[low]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -150,10 +150,19 @@ def _light_on(
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
     iu = min(max(int(u), 0), skin.shape[1] - 1)
     iv = min(max(int(v), 0), skin.shape[0] - 1)
-    red = (skin[iv, iu, 0] / 255.0) ** 2
-    green = (skin[iv, iu, 1] / 255.0) ** 2
-    blue = (skin[iv, iu, 2] / 255.0) ** 2
     material = skin[iv, iu, 3]
+    # Colours between the four nearest texels, so that edges drawn on the skin come out smooth.
+    u, v = min(max(u - 0.5, 0.0), skin.shape[1] - 1.001), min(max(v - 0.5, 0.0), skin.shape[0] - 1.001)
+    iu, iv = int(u), int(v)
+    fu, fv = u - iu, v - iv
+    w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
+    iu1, iv1 = min(iu + 1, skin.shape[1] - 1), min(iv + 1, skin.shape[0] - 1)
+    red, green, blue = 0.0, 0.0, 0.0
+    for tu, tv, share in ((iu, iv, w00), (iu1, iv, w10), (iu, iv1, w01), (iu1, iv1, w11)):
+        red += share * skin[tv, tu, 0]
+        green += share * skin[tv, tu, 1]
+        blue += share * skin[tv, tu, 2]
+    red, green, blue = red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0
     if material == LIT:
         return red * light[18], green * light[18], blue * light[18]
 
@@ -174,14 +183,14 @@ def _light_on(
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
     away = 1 - facing
     sharp = toward_sun > 0.8
-    fresnel = 0.04 + 0.96 * away * away * away * away * away
+    fresnel = 0.055 + 0.945 * away * away * away * away * away
     gleam, spread = 0.0, 0.0
     if material == PAINT:
         metal = paint[0]
         squared = toward_sun * toward_sun * toward_sun
         spread = metal * 0.8 * squared * squared * squared * squared
         if sharp:
-            gleam = paint[1] * 12.0 * toward_sun**350
+            gleam = paint[1] * 26.0 * toward_sun**260
         fresnel *= paint[1]
         grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
         red += (0.16 - red) * grime
@@ -222,7 +231,7 @@ def _light_on(
 def shade(
     ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
     light: _F, pose: _F, exposure: float, curve: _F, origin: tuple[float, float], ss: int,
-) -> tuple[_F, _F]:  # fmt: skip
+) -> _F:  # fmt: skip
     """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
 
     Args:
@@ -243,12 +252,10 @@ def shade(
         ss: as there.
 
     Returns:
-        (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1]; and
-        (H, W) uint8 number of covered samples.
+        (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1].
     """
     h, w = ids.shape[0] // ss, ids.shape[1] // ss
     out = np.zeros((h, w, 4), dtype=np.float32)
-    count = np.zeros((h, w), dtype=np.uint8)
     share = 1.0 / (ss * ss)
     for r in range(h):
         for col in range(w):
@@ -273,10 +280,9 @@ def shade(
                     blue += min(blue1 * exposure, 4.0)
             if n == 0:
                 continue
-            count[r, col] = n
             alpha = n * share
             out[r, col, 0] = _curve(blue / n, curve) * alpha
             out[r, col, 1] = _curve(green / n, curve) * alpha
             out[r, col, 2] = _curve(red / n, curve) * alpha
             out[r, col, 3] = alpha
-    return out, count
+    return out

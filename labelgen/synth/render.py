@@ -56,7 +56,7 @@ class Placed:
         """(V, 3) vertices of its mesh in the road frame."""
         turned = self.vehicle.mesh.vertices * np.array([self.heading, self.heading, 1.0])
         turned[:, :2] += self.centre_xy
-        return turned
+        return np.asarray(turned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,19 +85,26 @@ def painting_order(vehicles: Sequence[Placed]) -> list[int]:
         """Whether `a` may be hidden by `b`."""
         ax0, ax1, ay0, ay1 = a.bounds
         bx0, bx1, by0, by1 = b.bounds
+        # A plane between the two decides: who stands on the camera's side of it may hide the other.
         if ay0 >= by1:
-            return ay0 >= 0
+            return by1 > 0
         if by0 >= ay1:
-            return ay1 <= 0
+            return by0 < 0
         if ax0 >= bx1:
-            return ax0 >= 0
-        return ax1 <= 0
+            return bx1 > 0
+        return bx0 >= ax1 and bx0 < 0
 
     left = sorted(range(len(vehicles)), key=lambda i: -float(np.hypot(*vehicles[i].centre_xy)))
     order: list[int] = []
     while left:
         # The first one that hides none of the others still to be drawn; cycles fall back to the farthest.
-        free = (i for i in left if not any(behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])))
+        free = (
+            i
+            for i in left
+            if not any(
+                behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])
+            )
+        )
         chosen = next(free, left[0])
         left.remove(chosen)
         order.append(chosen)
@@ -130,10 +137,11 @@ class Renderer:
         """A tile of noise around 128, larger than the frame so that every frame takes another part of it."""
         width, height = self.size_wh
         shape = (height + 128, width + 128)
-        grey = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
-        colour = self._rng.normal(0, 0.6 * self.light.noise, (*shape, 3)).astype(np.float32)
+        grey: Any = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
+        colour: Any = self._rng.normal(0, 0.6 * self.light.noise, (*shape, 3)).astype(np.float32)
         colour = cv2.GaussianBlur(colour, (0, 0), 0.8) * 1.6
-        return np.clip(128 + cv2.GaussianBlur(grey, (0, 0), 0.5)[..., None] * 1.3 + colour, 0, 255).round().astype(np.uint8)
+        grey = cv2.GaussianBlur(grey, (0, 0), 0.5) * 1.3
+        return np.asarray(np.clip(128 + grey[..., None] + colour, 0, 255).round(), dtype=np.uint8)
 
     def frame(self, vehicles: Sequence[Placed], *, number: int = 0) -> tuple[NDArray[np.uint8], list[Drawn]]:
         """One frame and the masks of the vehicles that show in it.
@@ -211,27 +219,37 @@ class Renderer:
             return None
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
-        ss = 3 if max(size) < 120 else 2 if max(size) < 700 else 1
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
-        ids = visible_triangles(screen, mesh.triangles, size, origin, ss, True)
-        if image is None:
-            count = (ids.reshape(size[1], ss, size[0], ss) >= 0).sum(axis=(1, 3))
-        else:
-            pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
-            skin, maps = placed.vehicle.skin.level(float(np.median(depth)) / camera.focal)
-            layer, count = shade(
-                ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin,
-                placed.vehicle.paint, self._packed, pose, self.light.exposure, CURVE, origin, ss,
-            )  # fmt: skip
-            layer = self._soften(layer, placed)
-            part = image[y0:y1, x0:x1]
-            kept = cv2.merge([1 - layer[..., 3]] * 3)
-            part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
-        mask = count * 2 >= ss * ss
+        # A pixel belongs to the mask if the vehicle covers its centre.
+        centres = visible_triangles(screen, mesh.triangles, size, origin, 1, True)
+        if image is not None:
+            self._paint(image, placed, screen, centres, window)
+        mask = centres >= 0
         outline = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
         return _Layer(placed.track_id, mask, (x0, y0), outline)
 
-    def _soften(self, layer: NDArray[np.float32], placed: Placed) -> NDArray[np.float32]:
+    def _paint(
+        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64], centres: NDArray[np.int32],
+        window: tuple[int, int, int, int],
+    ) -> None:  # fmt: skip
+        """Shade a vehicle and lay it over its window of the frame."""
+        x0, y0, x1, y1 = window
+        size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
+        mesh, camera = placed.vehicle.mesh, self.camera
+        ss = 3 if max(size) < 120 else 2 if max(size) < 500 else 1
+        ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
+        pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
+        skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
+        layer: Any = shade(
+            ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
+            self._packed, pose, self.light.exposure, CURVE, origin, ss,
+        )  # fmt: skip
+        layer = self._soften(layer, placed)
+        part = image[y0:y1, x0:x1]
+        kept = cv2.merge([1 - layer[..., 3]] * 3)
+        part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
+
+    def _soften(self, layer: Any, placed: Placed) -> Any:
         """Lens blur, and motion blur along the vehicle's path in the image."""
         layer = cv2.GaussianBlur(layer, (0, 0), self.softness)
         x, y = placed.centre_xy

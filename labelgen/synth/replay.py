@@ -22,7 +22,7 @@ from labelgen.sources.pickles import load_pickle
 from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.scenes import FARTHEST_M, Lane, Scene, road_to_image
 from labelgen.synth.traffic import Trip, near_path_x
-from labelgen.synth.vehicles import body_kinds, make_vehicle
+from labelgen.synth.vehicles import body_kinds, vehicle_size
 
 __all__ = ["load_scene", "replayed_traffic"]
 
@@ -31,9 +31,7 @@ _LEAD_S = 2.0
 _CALIBRATION = "system_optimal_calibration.json"
 
 
-def load_scene(
-    folder: Path, weather: Weather, rng: np.random.Generator
-) -> tuple[Scene, Light, dict[str, Any]]:
+def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[Scene, Light, dict[str, Any]]:
     """A real session, `ROOT/dataset/NAME`, with its calibration in `ROOT/results/NAME`.
 
     Args:
@@ -58,7 +56,9 @@ def load_scene(
     gt = load_pickle(folder / "gt_data.pkl")
     missing = {"cars", "measurementLines", "laneDivLines", "invalidLanes", "distanceMeasurement"} - set(gt)
     if missing:
-        raise DataError(f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again")
+        raise DataError(
+            f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again"
+        )
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
     light = _fitted_light(make_light(weather, rng), background, mask)
@@ -149,14 +149,15 @@ def replayed_traffic(
     first = min((i["videoTime"] for c in gt["cars"] for i in c["intersections"]), default=0.0)
     start = max(0.0, float(first) - _LEAD_S) if start_s is None else start_s
     trips = []
-    for car in gt["cars"]:
+    # Numbers of cars repeat in some recordings, so tracks are numbered by their place in the file.
+    for number, car in enumerate(gt["cars"], start=1):
         times = {int(i["measurementLineId"]): float(i["videoTime"]) - start for i in car["intersections"]}
         lane_index = min(car["laneIndex"], default=None)
         if not times or lane_index is None or not -20 < max(times.values()) < duration_s + 20:
             continue
         lane = next((lane for lane in scene.lanes if lane.index == lane_index), None)
         if lane is not None:
-            trips.append(_trip(scene, lane, int(car["carId"]), times, seed))
+            trips.append(_trip(scene, lane, number, int(car["carId"]), times, seed))
     if not any(0 <= t < duration_s for trip in trips for t in trip.knots_s):
         raise DataError(
             f"{scene.name}: no crossing was recorded between {start:.0f} and {start + duration_s:.0f} s; "
@@ -166,14 +167,14 @@ def replayed_traffic(
     return _dressed(trips, seed, kinds)
 
 
-def _trip(scene: Scene, lane: Lane, car_id: int, times: dict[int, float], seed: int) -> Trip:
+def _trip(scene: Scene, lane: Lane, number: int, car_id: int, times: dict[int, float], seed: int) -> Trip:
     knots = sorted((time, near_path_x(scene, scene.measurement_lines[k], lane, 0.0)) for k, time in times.items())
     if len(knots) == 1:
         # Seen at one line only: the lane's usual speed.
         time, x = knots[0]
         knots.append((time + 1.0, x + lane.heading * lane.speed_kmh / 3.6))
     t, x = np.array(knots).T
-    return Trip(car_id, "", (seed, 31, car_id), lane, np.zeros(3), t, x, 0.0, car_id)
+    return Trip(number, "", (seed, 31, number), lane, np.zeros(3), t, x, 0.0, car_id)
 
 
 def _dressed(trips: list[Trip], seed: int, kinds: Sequence[str] | None) -> list[Trip]:
@@ -188,6 +189,6 @@ def _dressed(trips: list[Trip], seed: int, kinds: Sequence[str] | None) -> list[
         ]
         names, shares = body_kinds(max(4.0, min(gaps, default=100.0) - 4.0))
         kind = str(rng.choice(list(kinds))) if kinds else str(rng.choice(names, p=shares))
-        size = make_vehicle(kind, np.random.default_rng(list(trip.vehicle_seed))).size_lwh
+        size = vehicle_size(kind, np.random.default_rng(list(trip.vehicle_seed)))
         out.append(replace(trip, kind=kind, size_lwh=size))
     return out

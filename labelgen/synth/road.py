@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -26,7 +27,7 @@ def _noise_tile(rng: np.random.Generator, cells: tuple[float, ...]) -> Plane:
     """(512, 512) noise that repeats, zero mean and unit spread: white noise blurred at several scales, summed."""
     total = np.zeros((_TILE, _TILE), dtype=np.float32)
     for sigma in cells:
-        white = rng.normal(size=(_TILE, _TILE)).astype(np.float32)
+        white: Any = rng.normal(size=(_TILE, _TILE)).astype(np.float32)
         if sigma > 0:
             pad = int(4 * sigma) + 1
             white = cv2.GaussianBlur(np.pad(white, pad, mode="wrap"), (0, 0), sigma)[pad:-pad, pad:-pad]
@@ -129,7 +130,7 @@ def _strip(scene: Scene, light: Light, look: _Look, columns: NDArray[Any], rows:
         radiance = np.where(sky[..., None], low + (high - low) * np.sqrt(climb), radiance)
     for side in look.trees_y:
         radiance = _trees(scene, light, look, radiance, rays, side)
-    return radiance
+    return np.asarray(radiance, dtype=np.float32)
 
 
 def _soft(value: Any, width: Any) -> Any:
@@ -143,7 +144,7 @@ def _carriageways(scene: Scene) -> list[tuple[float, float, list[float]]]:
     for measured in (True, False):
         middles = sorted(lane.y0 for lane in scene.lanes if (lane.index is not None) == measured)
         if middles:
-            inner = [(a + b) / 2 for a, b in zip(middles[:-1], middles[1:], strict=True)]
+            inner = [(a + b) / 2 for a, b in pairwise(middles)]
             groups.append((middles[0] - LANE_WIDTH / 2, middles[-1] + LANE_WIDTH / 2, inner))
     return groups
 
@@ -165,7 +166,7 @@ def _ground(scene: Scene, light: Light, look: _Look, x: Plane, y: Plane, footpri
         inside = _soft(y - low + 0.3, footprint) * _soft(high + 0.3 - y, footprint)
         wear = np.ones_like(y)
         lanes = [low, *inner, high]
-        for a, b in zip(lanes[:-1], lanes[1:], strict=True):
+        for a, b in pairwise(lanes):
             middle = (a + b) / 2
             for side in (-0.85, 0.85):
                 wear += 0.07 * np.exp(-(((y - middle - side) / 0.28) ** 2))

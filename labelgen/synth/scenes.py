@@ -126,7 +126,7 @@ def _line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]
 
 def procedural_scene(
     rng: np.random.Generator, size_wh: tuple[int, int], *, heading: int | None = None, name: str = "synthetic",
-    both_ways: bool = False,
+    both_ways: bool = False, depth_m: float = 60.0,
 ) -> Scene:  # fmt: skip
     """A made-up road with two to four lanes, some with a second carriageway, without a picture.
 
@@ -136,6 +136,7 @@ def procedural_scene(
         heading: of the measured carriageway; at random when None.
         name: of the session and its camera.
         both_ways: always have a second carriageway; otherwise most scenes do.
+        depth_m: length of the measured road at most.
     """
     lanes_here = int(rng.integers(2, 4))
     heading = int(rng.choice([-1, 1], p=[0.7, 0.3])) if heading is None else heading
@@ -156,10 +157,12 @@ def procedural_scene(
         gap = rng.uniform(0.3, 3.0)
         side = -1 if heading < 0 else 1
         start = (edges[0] if side < 0 else edges[-1]) + side * gap
-        lanes += [Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)]
+        lanes += [
+            Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)
+        ]
     near, far = visible_range(camera, middle) or (distance - 5, distance + 30)
     near = max(near, 2.0) + 3.0
-    far = min(far - 3.0, near + 60.0)
+    far = min(far - 3.0, near + depth_m)
     marks = np.linspace(near + 2, far - 2, 3)
     across = [_line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
     along = [_line_through(camera, (near, y), (far, y)) for y in edges]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import OutputError
+from labelgen.files import make_folder, write_atomic, write_json
 from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.render import Drawn, Placed, Renderer
 from labelgen.synth.road import draw_road
 from labelgen.synth.scenes import Scene, procedural_scene, visible_range
 from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
-from labelgen.synth.vehicles import Vehicle
+from labelgen.synth.vehicles import Vehicle, check_kinds
 
 __all__ = ["SessionSummary", "place", "write_session"]
 
@@ -96,41 +96,39 @@ def write_session(
         OutputError: the session exists, or cannot be written.
         DataError: the scene cannot be read, or nothing is known of its traffic.
     """
-    rng = np.random.default_rng([seed, 1])
+    check_kinds(kinds or [])
     if scene is None:
         if replay:
             raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
-        place_of = procedural_scene(rng, size_wh, heading=heading, name=name)
-        light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.4, 0.35, 0.1, 0.15]))], rng)
-        place_of = replace(place_of, background=draw_road(place_of, light, rng))
-        trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+        place_of, light = _made_up(seed, size_wh, heading, name, weather)
         surveyed = None
     else:
-        from labelgen.synth.replay import load_scene, replayed_traffic
+        from labelgen.synth.replay import load_scene
 
-        place_of, light, surveyed = load_scene(scene, weather or Weather.OVERCAST, rng)
+        place_of, light, surveyed = load_scene(scene, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
         name = place_of.name
-        if replay:
-            trips = replayed_traffic(place_of, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
-        else:
-            trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+    if replay and surveyed is not None:
+        from labelgen.synth.replay import replayed_traffic
+
+        trips = replayed_traffic(place_of, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+    else:
+        trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = {part: out / part / name for part in ("dataset", "results", "truth")}
     for folder in folders.values():
         if folder.exists() and any(folder.iterdir()) and not overwrite:
             raise OutputError(f"{folder}: it exists already; use --overwrite or another --out")
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     assert place_of.background is not None
-    cv2.imwrite(str(folders["dataset"] / "video_mask.png"), place_of.road_mask.astype(np.uint8) * 255)
-    cv2.imwrite(str(folders["dataset"] / "screen.png"), place_of.background)
+    write_atomic(folders["dataset"] / "video_mask.png", _png(place_of.road_mask.astype(np.uint8) * 255))
+    write_atomic(folders["dataset"] / "screen.png", _png(place_of.background))
     complete, frames, masks, cars = _render(
         folders, place_of, light, trips, round(duration_s * fps), fps, seed, video=video, progress=progress
     )
     calibration = place_of.camera.to_dict()
-    _write_json(folders["results"] / "system_truth.json", {**calibration, "cars": cars})
-    _write_json(folders["results"] / "system_optimal_calibration.json", calibration)
+    write_json(folders["results"] / "system_truth.json", {**calibration, "cars": cars})
+    write_json(folders["results"] / "system_optimal_calibration.json", calibration)
     gt = ground_truth(place_of, trips, frames / fps, fps, surveyed)
-    with (folders["dataset"] / "gt_data.pkl").open("wb") as file:
-        pickle.dump(gt, file, protocol=2)
+    write_atomic(folders["dataset"] / "gt_data.pkl", pickle.dumps(gt, protocol=2))
     files = {
         "video": folders["dataset"] / "video.avi",
         "calibration": folders["results"] / "system_optimal_calibration.json",
@@ -138,9 +136,7 @@ def write_session(
         "masks": folders["truth"] / "masks.json",
         "boxes": folders["truth"] / "boxes.jsonl",
     }
-    return SessionSummary(
-        name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()}
-    )
+    return SessionSummary(name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()})
 
 
 def _render(
@@ -172,9 +168,7 @@ def _render(
                 if writer is not None:
                     ids = {t.track_id for t in here}
                     renderer.forget({k for k in vehicles if k not in ids})
-                    vehicles = {
-                        t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here
-                    }
+                    vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
                     placed = [place(t, vehicles[t.track_id], time_s) for t in here]
                     image, drawn = renderer.frame(placed, number=number)
                     writer.write(image)
@@ -189,8 +183,18 @@ def _render(
     return complete, done, masks, cars
 
 
-def _write_json(path: Path, data: Any) -> None:
-    path.write_text(json.dumps(data) + "\n", encoding="utf-8")
+def _made_up(
+    seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None
+) -> tuple[Scene, Light]:
+    """A made-up road and its light, with its picture."""
+    rng = np.random.default_rng([seed, 1])
+    scene = procedural_scene(rng, size_wh, heading=heading, name=name)
+    light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.4, 0.35, 0.1, 0.15]))], rng)
+    return replace(scene, background=draw_road(scene, light, rng)), light
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(".png", image)[1])
 
 
 def ground_truth(
@@ -233,9 +237,7 @@ def ground_truth(
                 "valid": valid,
                 "acceleration": 0.0,
                 "timeIntersectionLastShifted": times[0],
-                "intersections": [
-                    {"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)
-                ],
+                "intersections": [{"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)],
             }
         )
     cars.sort(key=lambda car: car["timeIntersectionLastShifted"])  # type: ignore[arg-type, return-value]

@@ -7,6 +7,7 @@ beside it does not change while it drives: the map is drawn in metres and then o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -41,7 +42,7 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
     length = vehicle.size_lwh[0]
     edges = np.linspace(-length / 2, length / 2, 7)
     pieces = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges.tolist()):
         piece = points[(points[:, 0] >= low - 0.2) & (points[:, 0] <= high + 0.2)]
         if len(piece) > 3:
             pieces.append(piece)
@@ -67,7 +68,7 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     reach = top * np.hypot(sun[0], sun[1]) / max(sun[2], 0.15) if sun_share > 0.02 else 0.0
     half = vehicle.size_lwh[:2] / 2 + 1.2 + reach
     w, h = (int(np.ceil(2 * v / _CELL)) for v in half)
-    left = np.zeros((h, w), dtype=np.float32)
+    left: Any = np.zeros((h, w), dtype=np.float32)
 
     def cast(direction: NDArray[Any]) -> NDArray[np.uint8]:
         mask = np.zeros((h, w), dtype=np.uint8)

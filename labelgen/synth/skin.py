@@ -73,7 +73,7 @@ class Skin:
         self._view(chart)[:] = _texel(colour, material)
 
     def polygon(self, chart: Chart, points: Any, colour: Colour, material: int) -> None:
-        """Paint a polygon. Points: (d, z) on the sides, (d, y) on top, (y, z) with y to the viewer's right at the ends."""
+        """Paint a polygon. Points: (d, z) on the sides, (d, y) on top, (y, z) at the ends, y to the viewer's right."""
         view = np.ascontiguousarray(self._view(chart))
         cv2.fillPoly(view, [self._pixels(chart, points)], _texel(colour, material), cv2.LINE_8, 4)
         self._view(chart)[:] = view
@@ -84,7 +84,9 @@ class Skin:
         ring = np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
         self.polygon(chart, ring, colour, material)
 
-    def rectangle(self, chart: Chart, low: Sequence[float], high: Sequence[float], colour: Colour, material: int) -> None:
+    def rectangle(
+        self, chart: Chart, low: Sequence[float], high: Sequence[float], colour: Colour, material: int
+    ) -> None:
         """Paint an axis-aligned rectangle."""
         (x0, y0), (x1, y1) = low, high
         self.polygon(chart, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], colour, material)
@@ -103,17 +105,26 @@ class Skin:
             for _ in range(4):
                 image, maps = self._levels[-1]
                 size = (max(1, image.shape[1] // 2), max(1, image.shape[0] // 2))
-                half = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+                half: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
                 # Materials do not mix.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
                 self._levels.append((half, maps / 2))
-        number = int(np.clip(np.floor(np.log2(max(metres_per_px * PPM, 1.0)) + 0.3), 0, 4))
+        number = int(np.clip(np.floor(np.log2(max(metres_per_px * PPM, 1.0)) + 0.6), 0, 4))
         return self._levels[number]
 
 
 def _texel(colour: Colour, material: int) -> tuple[int, int, int, int]:
     r, g, b = (round(255 * float(np.sqrt(min(max(c, 0), 1)))) for c in colour)
     return r, g, b, material
+
+
+def _rounded(points: Any, share: float = 0.12) -> NDArray[np.float64]:
+    """A closed polygon with its corners cut twice, as glass and lamps have them."""
+    ring = np.asarray(points, dtype=np.float64)
+    for cut in (share, 0.25):
+        ahead = np.roll(ring, -1, axis=0) - ring
+        ring = np.stack([ring + cut * ahead, ring + (1 - cut) * ahead], axis=1).reshape(-1, 2)
+    return ring
 
 
 def _dim(colour: Colour, factor: float) -> Colour:
@@ -209,9 +220,10 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         y0, y1 = edge[0] - 0.02, edge[1] - 0.04
         bow = 0.05 * np.sign(d0 - d1)
         rim = [(d0 + bow, 0), (d0, y0), (d1, y1), (d1 + bow, 0), (d1, -y1), (d0, -y0)]
-        skin.polygon(Chart.TOP, rim, _BLACK, MATTE)
+        smooth = _rounded(rim, 0.07)
+        skin.polygon(Chart.TOP, smooth, _BLACK, MATTE)
         middle = np.mean(rim, axis=0)
-        skin.polygon(Chart.TOP, middle + 0.94 * (np.array(rim) - middle), _GLASS, GLASS)
+        skin.polygon(Chart.TOP, middle + 0.96 * (smooth - middle), _GLASS, GLASS)
 
     pane(shape.cowl, shape.roof_front, 0.04)
     _interior(skin, Chart.TOP, (shape.cowl[0] + 0.08, shape.roof_front[0] - 0.08), 0.62 * half, rng)
@@ -221,7 +233,9 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         y = 0.66 * half
         skin.line(Chart.TOP, [(0.2, y), (shape.cowl[0] - 0.05, y + 0.08)], seam, PAINT)
         skin.line(Chart.TOP, [(0.2, -y), (shape.cowl[0] - 0.05, -y - 0.08)], seam, PAINT)
-        skin.rectangle(Chart.TOP, (shape.cowl[0] - 0.06, -0.8 * half), (shape.cowl[0] + 0.02, 0.8 * half), _BLACK, MATTE)
+        skin.rectangle(
+            Chart.TOP, (shape.cowl[0] - 0.06, -0.8 * half), (shape.cowl[0] + 0.02, 0.8 * half), _BLACK, MATTE
+        )
     roof = (shape.roof_front[0] + 0.12, shape.roof_rear[0] - 0.1)
     edge = cabin_edge(shape, half, shape.height) - 0.12
     style = rng.random()
@@ -239,9 +253,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         skin.rectangle(Chart.TOP, low, (shape.length - 0.12, 0.78 * half), (0.02, 0.02, 0.02), MATTE)
 
 
-def _interior(
-    skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator
-) -> None:
+def _interior(skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator) -> None:
     """What shows through the windscreen: dashboard, seats, who sits in them. `span`: d on top, z in front."""
     low, high = span
     if high - low < 0.25:
@@ -260,12 +272,12 @@ def _interior(
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
     for side in (-0.5, 0.5):
-        seat = rng.uniform(0.012, 0.06)
+        seat = rng.uniform(0.012, 0.035)
         oval(side * half, high - 0.15 * (high - low), 0.22, 0.10 * (high - low), (seat, seat, seat))
         if side < 0 or rng.random() < 0.4:
-            r, g, b = (rng.uniform(0.01, 0.10) * rng.normal(1, 0.15, 3).clip(0.6, 1.4)).tolist()
+            r, g, b = (rng.uniform(0.008, 0.04) * rng.normal(1, 0.15, 3).clip(0.6, 1.4)).tolist()
             oval(side * half, low + 0.55 * (high - low), 0.20, 0.16 * (high - low), (r, g, b))
-            oval(side * half, low + 0.78 * (high - low), 0.085, 0.10 * (high - low), (0.09, 0.055, 0.04))
+            oval(side * half, low + 0.78 * (high - low), 0.085, 0.09 * (high - low), (0.045, 0.03, 0.024))
 
 
 def _draw_front(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator, lamps: bool) -> None:
@@ -278,9 +290,9 @@ def _draw_front(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generato
         (-glass_half, shape.cowl[1]), (glass_half, shape.cowl[1]),
         (top_half, shape.roof_front[1] - 0.03), (-top_half, shape.roof_front[1] - 0.03),
     ]  # fmt: skip
-    skin.polygon(Chart.FRONT, pane, _BLACK, MATTE)
-    middle = np.mean(pane, axis=0)
-    skin.polygon(Chart.FRONT, middle + 0.94 * (np.array(pane) - middle), _GLASS, GLASS)
+    smooth, middle = _rounded(pane, 0.07), np.mean(pane, axis=0)
+    skin.polygon(Chart.FRONT, smooth, _BLACK, MATTE)
+    skin.polygon(Chart.FRONT, middle + 0.96 * (smooth - middle), _GLASS, GLASS)
     _interior(skin, Chart.FRONT, (shape.cowl[1] + 0.05, shape.roof_front[1] - 0.15), 0.62 * half, rng)
     grille = (_BLACK, MATTE)
     wide = rng.uniform(0.42, 0.60) * narrow
@@ -299,7 +311,7 @@ def _draw_front(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generato
             (side * 1.04 * narrow, nose - 0.02), (side * 0.62 * narrow, nose - 0.08),
             (side * 0.64 * narrow, nose - 0.21), (side * 1.04 * narrow, nose - 0.21),
         ]  # fmt: skip
-        skin.polygon(Chart.FRONT, lamp, (0.20, 0.20, 0.21), LAMP)
+        skin.polygon(Chart.FRONT, _rounded(lamp), (0.20, 0.20, 0.21), LAMP)
         skin.circle(Chart.FRONT, (side * 0.80 * narrow, nose - 0.135), 0.066, glow, lit)
         skin.circle(Chart.FRONT, (side * 0.80 * narrow, intake + 0.06), 0.05, (0.3, 0.3, 0.3), LAMP)
     _plate(skin, Chart.FRONT, (0, intake + 0.14), rng)
@@ -313,9 +325,9 @@ def _draw_rear(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator
         low, high = shape.rear_window, shape.roof_rear
         y0, y1 = cabin_edge(shape, half, low[1]) - 0.10, cabin_edge(shape, half, high[1]) - 0.12
         pane = [(-y0, low[1] + 0.03), (y0, low[1] + 0.03), (y1, high[1] - 0.05), (-y1, high[1] - 0.05)]
-        skin.polygon(Chart.REAR, pane, _BLACK, MATTE)
-        middle = np.mean(pane, axis=0)
-        skin.polygon(Chart.REAR, middle + 0.94 * (np.array(pane) - middle), _GLASS, GLASS)
+        smooth, middle = _rounded(pane, 0.07), np.mean(pane, axis=0)
+        skin.polygon(Chart.REAR, smooth, _BLACK, MATTE)
+        skin.polygon(Chart.REAR, middle + 0.96 * (smooth - middle), _GLASS, GLASS)
     if shape.kind == "van":
         skin.line(Chart.REAR, [(0, shape.height), (0, 0.4)], seam, PAINT)
         for side in (-1, 1):
@@ -331,7 +343,9 @@ def _draw_rear(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator
             Chart.REAR, (side * inner * narrow, lamp_top - tall), (side * 0.85 * narrow, lamp_top - tall + 0.05),
             (0.5, 0.45, 0.4), LAMP,
         )  # fmt: skip
-    skin.line(Chart.REAR, [(-0.9 * narrow, lamp_top - tall - 0.07), (0.9 * narrow, lamp_top - tall - 0.07)], seam, PAINT)
+    skin.line(
+        Chart.REAR, [(-0.9 * narrow, lamp_top - tall - 0.07), (0.9 * narrow, lamp_top - tall - 0.07)], seam, PAINT
+    )
     _plate(skin, Chart.REAR, (0, lamp_top - tall - 0.02 if rng.random() < 0.6 else shape.clearance + 0.22), rng)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.synth.scenes import Lane, Scene, road_to_image
-from labelgen.synth.vehicles import Vehicle, body_kinds, make_vehicle
+from labelgen.synth.vehicles import Vehicle, body_kinds, make_vehicle, vehicle_size
 
 __all__ = ["Trip", "near_path_x", "random_traffic"]
 
@@ -68,8 +68,8 @@ class Trip:
         """When the middle of its near bottom edge passes X."""
         t, knots = self.knots_s, self.knots_x
         rising = knots[-1] > knots[0]
-        k = np.searchsorted(knots if rising else -knots, x if rising else -x) - 1
-        k = int(np.clip(k, 0, len(t) - 2))
+        after = np.searchsorted(knots if rising else -knots, x if rising else -x)
+        k = int(np.clip(after - 1, 0, len(t) - 2))
         return float(t[k] + (x - knots[k]) * (t[k + 1] - t[k]) / (knots[k + 1] - knots[k]))
 
     def vehicle(self, *, lamps: bool) -> Vehicle:
@@ -113,12 +113,14 @@ def random_traffic(
             slow = 0.85 if kind in ("lorry", "articulated", "bus") else 1.0
             speed = lane.speed_kmh / 3.6 * slow * float(np.clip(rng.normal(1, 0.09), 0.7, 1.35))
             vehicle_seed = (seed, number, len(trips))
-            size = make_vehicle(kind, np.random.default_rng(list(vehicle_seed))).size_lwh
+            size = vehicle_size(kind, np.random.default_rng(list(vehicle_seed)))
             entry = clock
             if before is not None:
                 gap = rng.uniform(0.7, 1.6)
                 length = max(before[2], float(size[0]))
-                entry = max(entry, before[0] + gap + length / speed, before[1] + gap + length / speed - (high - low) / speed)
+                entry = max(
+                    entry, before[0] + gap + length / speed, before[1] + gap + length / speed - (high - low) / speed
+                )
             leave = entry + (high - low) / speed
             before = (entry, leave, size[0])
             clock = max(clock, entry)

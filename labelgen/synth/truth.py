@@ -13,6 +13,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,9 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.files import make_folder
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.labels import VehicleClass
 from labelgen.synth.render import Drawn
+from labelgen.synth.shapes import BODY_TYPES
 from labelgen.synth.traffic import Trip
 
 __all__ = ["TruthWriter", "encode_mask", "own_front_first"]
@@ -43,7 +46,6 @@ def encode_mask(mask: NDArray[np.bool_], origin_px: tuple[int, int], size_wh: tu
     from pycocotools import mask as coco
 
     width, height = size_wh
-    h, w = mask.shape
     columns = np.ascontiguousarray(mask.T)
     change = np.diff(columns.astype(np.int8), axis=1, prepend=0, append=0)
     column, row = np.nonzero(change)
@@ -53,7 +55,10 @@ def encode_mask(mask: NDArray[np.bool_], origin_px: tuple[int, int], size_wh: tu
     keep = np.ones(len(at), dtype=np.bool_)
     touching = np.flatnonzero(np.diff(at) == 0)
     keep[touching] = keep[touching + 1] = False
-    counts = np.diff(np.concatenate([[0], at[keep], [width * height]]))
+    at = at[keep]
+    # The last run is not written when it is empty.
+    ends = at if len(at) and at[-1] == width * height else np.append(at, width * height)
+    counts = np.diff(ends, prepend=0)
     rle = coco.frPyObjects({"counts": counts.tolist(), "size": [height, width]}, height, width)
     return {"counts": rle["counts"].decode("ascii"), "size": [height, width]}
 
@@ -79,11 +84,12 @@ class TruthWriter:
     """
 
     def __init__(self, folder: Path, camera: Camera, fps: float, video_name: str = "video.avi") -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         self._folder, self._camera, self._fps, self._video = folder, camera, fps, video_name
-        self._boxes = (folder / "boxes.jsonl").open("w", encoding="utf-8")
-        self._images = tempfile.TemporaryFile("w+", encoding="utf-8")
-        self._annotations = tempfile.TemporaryFile("w+", encoding="utf-8")
+        self._open = ExitStack()
+        self._boxes = self._open.enter_context((folder / "boxes.jsonl").open("w", encoding="utf-8"))
+        self._images = self._open.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
+        self._annotations = self._open.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
         self._count = self._frames = 0
         self._tracks: dict[int, dict[str, Any]] = {}
         self._places: dict[int, tuple[list[int], list[float], list[float]]] = {}
@@ -149,8 +155,6 @@ class TruthWriter:
         rows, columns = np.flatnonzero(seen.mask.any(axis=1)), np.flatnonzero(seen.mask.any(axis=0))
         x, y = seen.origin_px
         box = [x + columns[0], y + rows[0], columns[-1] + 1 - columns[0], rows[-1] + 1 - rows[0]]
-        from labelgen.synth.shapes import BODY_TYPES
-
         shape = BODY_TYPES.get(trip.kind)
         self._count += 1
         annotation = {
@@ -190,8 +194,9 @@ class TruthWriter:
     def __enter__(self) -> TruthWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
-        self._boxes.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         categories = [{"id": number, "name": name} for number, name in _NAMES.items()]
         with (self._folder / "masks.json").open("w", encoding="utf-8") as out:
             out.write('{"info": {"description": "exact masks of a synthetic recording"}, "images": [')
@@ -199,6 +204,7 @@ class TruthWriter:
             out.write('], "annotations": [')
             _copy(self._annotations, out)
             out.write(f'], "categories": {json.dumps(categories)}}}\n')
+        self._open.close()
         tracks = [
             {**entry, "frames": [self._places[track][0][0], self._places[track][0][-1]]}
             for track, entry in sorted(self._tracks.items())
@@ -211,4 +217,3 @@ class TruthWriter:
 def _copy(spool: Any, out: Any) -> None:
     spool.seek(0)
     shutil.copyfileobj(spool, out)
-    spool.close()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,10 @@ from labelgen.labels import VehicleClass
 from labelgen.synth.bodies import body_mesh
 from labelgen.synth.mesh import Chart, Mesh, box_mesh
 from labelgen.synth.raster import PAINT
-from labelgen.synth.shapes import BODY_TYPES, sample_shape
+from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.skin import Skin, draw_skin
 
-__all__ = ["Vehicle", "body_kinds", "make_vehicle"]
+__all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size"]
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
@@ -32,6 +32,8 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.55, 0.30, 0.03), 0.1, 0.01),
     ((0.60, 0.50, 0.08), 0.0, 0.01),
 )
+
+_CARGO_TONES = ((0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,13 @@ def body_kinds(longest_m: float = np.inf) -> tuple[list[str], NDArray[np.float64
     return kinds, shares / shares.sum()
 
 
+def check_kinds(kinds: Iterable[str]) -> None:
+    """DataError when one of them is no body type."""
+    for kind in kinds:
+        if kind not in BODY_TYPES and kind != "box":
+            raise DataError(f"--bodies {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box")
+
+
 def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) -> Vehicle:
     """A vehicle of a body type, with its own proportions, colour and details.
 
@@ -73,28 +82,48 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
     Raises:
         DataError: no such body type.
     """
-    tone, metal, _ = _PAINTS[rng.choice(len(_PAINTS), p=_shares())]
-    colour = tuple(np.clip(np.array(tone) * rng.uniform(0.8, 1.15), 0, 0.75).tolist())
+    body = _body(kind, rng)
+    if body.shape is None:
+        skin = Skin(body.size_lwh.tolist())
+        skin.image[:] = (*(round(255 * c**0.5) for c in body.colour), PAINT)
+        return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
+    extent = np.ptp(body.mesh.vertices, axis=0).tolist()
+    cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
+    skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
+    paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
+    return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
+
+
+def vehicle_size(kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(3,) the size that `make_vehicle` gives with the same generator, without drawing its skin."""
+    return _body(kind, rng).size_lwh
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    vehicle_class: VehicleClass
+    shape: Shape | None
+    mesh: Mesh
+    size_lwh: NDArray[np.float64]
+    colour: tuple[float, float, float]
+    metal: float
+
+
+def _body(kind: str, rng: np.random.Generator) -> _Body:
+    tone, metal, _ = _PAINTS[int(rng.choice(len(_PAINTS), p=_shares()))]
+    red, green, blue = np.clip(np.array(tone) * rng.uniform(0.8, 1.15), 0, 0.75).tolist()
+    colour = (red, green, blue)
     if kind == "box":
         size = rng.uniform([3.6, 1.65, 1.4], [5.0, 1.95, 2.2])
         half = size / 2
         mesh = box_mesh((-half[0], -half[1], 0), (half[0], half[1], size[2]))
-        skin = Skin(size)
-        skin.image[:] = (*(round(255 * c**0.5) for c in colour), PAINT)
-        return Vehicle(kind, VehicleClass.VEHICLE, size, mesh, skin, np.array([metal, 1.0, 0.9, 0.0, 0.0]))
-    if kind not in BODY_TYPES:
-        raise DataError(f"body type {kind!r}: unknown; use one of {', '.join(BODY_TYPES)}")
+        return _Body(VehicleClass.VEHICLE, None, mesh, size, colour, metal)
+    check_kinds([kind])
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
         colour, metal = (0.68, 0.68, 0.67), 0.0
     shape = sample_shape(kind, rng)
     mesh = body_mesh(shape)
-    extent = np.ptp(mesh.vertices, axis=0)
-    size = _body_size(mesh)
-    cargo_tones: Any = [(0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10)]
-    cargo = cargo_tones[rng.choice(5, p=[0.5, 0.15, 0.15, 0.1, 0.1])]
-    skin = draw_skin(shape, extent, colour, cargo, rng, lamps=lamps)
-    paint = np.array([metal, rng.uniform(0.7, 1.0), 0.9, float(lamps), rng.uniform(0.1, 0.5)])
-    return Vehicle(kind, shape.vehicle_class, size, mesh, skin, paint)
+    return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
 
 
 def _body_size(mesh: Mesh) -> NDArray[np.float64]:
@@ -104,4 +133,4 @@ def _body_size(mesh: Mesh) -> NDArray[np.float64]:
 
 def _shares() -> NDArray[np.float64]:
     shares = np.array([share for _, _, share in _PAINTS])
-    return shares / shares.sum()
+    return np.asarray(shares / shares.sum())

@@ -53,7 +53,7 @@ class VideoWriter:
         stream.pix_fmt = "yuv420p"
         stream.codec_context.gop_size = max(1, round(fps))
         stream.codec_context.thread_count = 1
-        self._stream, self._av, self._count = stream, av, 0
+        self._stream, self._av, self._count, self._path = stream, av, 0, path
 
     def write(self, frame: NDArray[np.uint8]) -> None:
         """Append a frame (H, W, 3) BGR."""
@@ -61,13 +61,18 @@ class VideoWriter:
         picture = self._av.VideoFrame.from_ndarray(planes, format="yuv420p")
         picture.pts = self._count
         self._count += 1
-        for packet in self._stream.encode(picture):
-            self._container.mux(packet)
+        try:
+            for packet in self._stream.encode(picture):
+                self._container.mux(packet)
+        except OSError as err:
+            raise OutputError(f"{self._path}: cannot write the video: {err.strerror or err}") from None
 
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         for packet in self._stream.encode(None):
             self._container.mux(packet)
         self._container.close()

@@ -45,9 +45,9 @@ def test_the_page_is_written_and_says_the_same_twice(tree, tmp_path, capsys):
     command = ["--real", str(tree), "--count", "40", "--out", str(out)]
     assert label_accuracy.main(command) == 0
     text = out.read_text(encoding="utf-8")
-    assert text.count("| session8_left |") == text.count("| session9_left |") == 4  # two pairs, two rasters
+    assert text.count("| session8_left |") == text.count("| session9_left |") == 4  # two pairs, two methods
     assert "15 of 15" not in text
-    assert text.count("2 of 2") >= 4  # the fine raster keeps its bounds by both rules in both pairs
+    assert text.count("2 of 2") >= 4  # the hull keeps its bounds by both rules in both pairs
     assert label_accuracy.main(command[:4]) == 0
     assert capsys.readouterr().out == text
 

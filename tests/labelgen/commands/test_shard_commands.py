@@ -55,10 +55,13 @@ def test_validate_finds_one_changed_byte(labelgen, shards: Path, tmp_path: Path)
     shard.write_bytes(data)
     done = labelgen("validate", folder, "--json", "v.json")
     assert done.returncode == 2
-    assert "its content is not what was written (hash differs)" in done.stderr
+    assert "shard-00000.h5: not the file named in dataset.json (its hash differs)" in done.stderr
     report = json.loads((tmp_path / "v.json").read_text())
     assert report["valid"] is False
-    assert list(report["problems"]) == [str(shard)]
+    assert list(report["problems"]) == [str(folder)]
+    alone = labelgen("validate", shard)
+    assert alone.returncode == 2
+    assert "its content is not what was written (hash differs)" in alone.stderr
 
 
 def test_merge(labelgen, shards: Path, tmp_path: Path) -> None:
@@ -71,7 +74,7 @@ def test_merge(labelgen, shards: Path, tmp_path: Path) -> None:
     assert labelgen("validate", "both").returncode == 0
     again = labelgen("merge", shards / "masks", "--out", "both")
     assert again.returncode == 2
-    assert "already holds shards; add --overwrite" in again.stderr
+    assert "already holds a finished data set; add --overwrite" in again.stderr
     assert labelgen("merge", shards / "masks", "--out", "both", "--overwrite").returncode == 0
     assert "one of the folders to merge" in labelgen("merge", "both", "--out", "both").stderr
 

@@ -212,7 +212,7 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(labelgen, tmp_path: P
             process.send_signal(signal.SIGKILL)
             process.wait()
             interrupted += 1
-        for path in out.glob("*.h5") if out.exists() else ():
+        for path in out.rglob("*.h5"):
             assert len(ShardReader(path)) == 12
         if (out / "dataset.json").exists():
             assert _hashes(out) == wanted
@@ -226,21 +226,123 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(labelgen, tmp_path: P
     assert {path.name for path in out.iterdir()} == {path.name for path in (tmp_path / "whole").iterdir()}
 
 
+def _unfinish(out: Path, lose: str) -> Path:
+    """Put a finished data set back to where a job is when one shard is missing."""
+    staged = out / ".labelgen-job"
+    staged.mkdir()
+    index = json.loads((out / "dataset.json").read_text())
+    (staged / "job.json").write_text(json.dumps(index["job"]))
+    for path in out.glob("shard-*.h5"):
+        path.rename(staged / path.name)
+    (out / "dataset.json").unlink()
+    (out / "rejects.jsonl").unlink()
+    (staged / lose).unlink()
+    return staged
+
+
 def test_leftovers_of_another_job_are_kept_until_told_otherwise(labelgen, tree: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     _run(labelgen, tree, out, "--per-shard", 7, *EVERYTHING)
-    index = json.loads((out / "dataset.json").read_text())
-    (out / "job.json").write_text(json.dumps(index["job"]))
-    (out / "dataset.json").unlink()
-    (out / "shard-00002.h5").unlink()
-    before = _hashes(out)
-    done = labelgen("boxcars", "--root", tree, "--out", out, "--per-shard", 8, *EVERYTHING)
-    assert done.returncode == 2
-    assert "unfinished job with other settings" in done.stderr
-    assert _hashes(out) == before
+    wanted = _hashes(out)
+    staged = _unfinish(out, "shard-00002.h5")
+    for options in (("--per-shard", 8, *EVERYTHING), ("--per-shard", 7, "--quality", 90, *EVERYTHING)):
+        done = labelgen("boxcars", "--root", tree, "--out", out, *options)
+        assert done.returncode == 2
+        assert "unfinished job with other settings" in done.stderr
+        assert len(_hashes(staged)) == 5
     report = _run(labelgen, tree, out, "--per-shard", 7, *EVERYTHING)
-    assert report["warnings"] == ["went on with an interrupted job: 5 of 6 parts were there"]
-    assert not (out / "job.json").exists()
+    assert report["warnings"] == ["went on with an interrupted job: 5 shards were there"]
+    assert _hashes(out) == wanted
+    assert not staged.exists()
+
+
+def test_a_damaged_leftover_is_made_again(labelgen, tree: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    _run(labelgen, tree, out, "--per-shard", 7, *EVERYTHING)
+    wanted = _hashes(out)
+    staged = _unfinish(out, "shard-00005.h5")
+    for name, keep in (("shard-00000.h5", None), ("shard-00001.h5", 3000)):
+        data = bytearray((staged / name).read_bytes()[:keep])
+        data[data.find(b"\xff\xd8\xff") + 300] ^= 0xFF
+        (staged / name).write_bytes(data)
+    report = _run(labelgen, tree, out, "--per-shard", 7, *EVERYTHING)
+    assert report["warnings"] == ["went on with an interrupted job: 3 shards were there"]
+    assert _hashes(out) == wanted
+
+
+def test_the_old_data_set_stays_when_the_new_job_fails(labelgen, tree: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    _run(labelgen, tree, out, *EVERYTHING)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    empty = tmp_path / "empty"
+    write_tree(empty, vehicles=1, atlas=False)
+    for path in (empty / "images").rglob("*.png"):
+        path.write_bytes(b"")
+    done = labelgen("boxcars", "--root", empty, "--out", out, "--overwrite", *EVERYTHING)
+    assert done.returncode == 2
+    assert "3 x unreadable picture" in done.stderr
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_killed_while_it_moves_up_it_ends_whole(labelgen, tree: Path, tmp_path: Path) -> None:
+    """The state after a kill between two renames, made by hand from an old and a new data set."""
+    old, new = tmp_path / "old", tmp_path / "new"
+    _run(labelgen, tree, old, "--per-shard", 5, "--pair", "VP1-VP2", *EVERYTHING)
+    _run(labelgen, tree, new, "--per-shard", 7, *EVERYTHING)
+    wanted = _hashes(new)
+    staged = old / ".labelgen-job"
+    staged.mkdir()
+    (old / "dataset.json").unlink()
+    (staged / "job.json").write_text(json.dumps(json.loads((new / "dataset.json").read_text())["job"]))
+    for i, path in enumerate(sorted(new.iterdir(), reverse=True)):
+        path.rename((old if path.name == "shard-00001.h5" and i else staged) / path.name)
+    report = _run(labelgen, tree, old, "--per-shard", 7, "--overwrite", *EVERYTHING)
+    assert report["labels"] == 36
+    assert _hashes(old) == wanted
+    assert not any(validate_shards([old]).values())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs file locks")
+def test_two_jobs_do_not_share_a_folder(labelgen, tree: Path, tmp_path: Path) -> None:
+    import fcntl
+
+    staged = tmp_path / "out" / ".labelgen-job"
+    staged.mkdir(parents=True)
+    with (staged / "lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = labelgen("boxcars", "--root", tree, "--out", tmp_path / "out", *EVERYTHING)
+    assert done.returncode == 2
+    assert "another labelgen job is writing into it" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    write_tree(tmp_path / "tree", vehicles=150, per_vehicle=4, json=False, atlas=False)
+    command = [
+        sys.executable,
+        "-c",
+        "from labelgen.cli import main; main()",
+        "boxcars",
+        "--root",
+        "tree",
+        "--out",
+        "out",
+    ]
+    process = subprocess.Popen(
+        [*command, *EVERYTHING, "--per-shard", "20", "--workers", "2"], cwd=tmp_path, stderr=subprocess.DEVNULL
+    )
+    staged = tmp_path / "out" / ".labelgen-job"
+    deadline = time.monotonic() + 60
+    while not any(staged.glob("shard-*.h5")) and time.monotonic() < deadline:
+        os.sched_yield()
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert children
+    while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
+        os.sched_yield()
+    assert not any(Path(f"/proc/{child}").exists() for child in children)
 
 
 def test_cameras_of_the_tree_are_real_ones() -> None:

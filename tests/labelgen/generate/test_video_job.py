@@ -162,7 +162,7 @@ def test_a_truncated_video_is_read_as_far_as_it_goes_and_said(labelgen, clip: Pa
     masks = f"coco:{clip.parent / 'masks.json'}"
     report = _run(labelgen, tmp_path / "out", whole, "--masks", masks, "--every", 5)
     assert 3 <= report["images"] < 12
-    assert report["rejects_by_reason"]["damaged input"] >= 1
+    assert report["rejects_by_reason"]["input problem"] >= 1
 
 
 def test_masks_that_give_no_label_are_listed(labelgen, clip: Path, tmp_path: Path) -> None:
@@ -230,8 +230,8 @@ def test_a_part_without_a_readable_frame_is_an_empty_shard(labelgen, clip: Path,
         cv2.imwrite(str(folder / f"{n:04d}.png"), capture.read()[1])
     for n in range(4, 8):
         (folder / f"{n:04d}.png").write_bytes(b"damaged")
-    options = (folder, "--calibration", clip.with_suffix(".calibration.json"), "--road-mask", clip.with_suffix(".mask.png"),
-               "--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 1, "--per-shard", 4)  # fmt: skip
-    report = _run(labelgen, tmp_path / "out", *options)
+    scene = ("--calibration", clip.with_suffix(".calibration.json"), "--road-mask", clip.with_suffix(".mask.png"))
+    masks = ("--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 1, "--per-shard", 4)
+    report = _run(labelgen, tmp_path / "out", folder, *scene, *masks)
     assert [len(ShardReader(path)) for path in sorted((tmp_path / "out").glob("*.h5"))] == [4, 0, 4]
-    assert report["rejects_by_reason"]["damaged input"] == 4
+    assert report["rejects_by_reason"]["input problem"] == 4

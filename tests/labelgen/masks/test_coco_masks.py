@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from pycocotools import mask as coco
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 from labelgen.masks import InstanceMasks, create_mask_source
-from labelgen.masks.segmentation import decode_segmentation
+from labelgen.masks.segmentation import check_segmentation, decode_segmentation
 
 WH = (64, 48)
 IMAGE = np.zeros((48, 64, 3), dtype=np.uint8)
@@ -140,7 +141,7 @@ def test_list_of_results_with_coco_ids(tmp_path: Path) -> None:
     source = create_mask_source(write(tmp_path / "r.json", results))
     expected = [VehicleClass.CAR, VehicleClass.MOTORCYCLE, VehicleClass.BUS, VehicleClass.TRUCK]
     assert masks_of(source, 40).class_ids.tolist() == expected
-    assert dict(source.ignored) == {"id 1": 1}
+    assert source.problems == ["r.json: 1 annotation of other categories (id 1) left out"]
 
 
 def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) -> None:
@@ -154,12 +155,17 @@ def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) ->
             annotation(3, 1, square, 1, score=0.4),
             annotation(4, 1, square, 1, iscrowd=1),
             annotation(5, 1, square, 1, score=0.6),
+            annotation(6, 1, square, 3),
+            annotation(7, 1, square, 4, score=0.1),
         ],
     }
     source = create_mask_source(write(tmp_path / "m.json", data), score_threshold=0.5)
     assert masks_of(source, 0).scores.tolist() == pytest.approx([0.6])
-    assert dict(source.ignored) == {"person": 2, "crowd regions": 1}
-    assert source.problems == []
+    assert source.problems == [
+        "m.json: 4 annotations of other categories (person, id 3, id 4) left out",
+        "m.json: 1 crowd region left out",
+        "m.json: 1 annotation with a score below 0.5 left out",
+    ]
 
 
 BROKEN: list[tuple[Any, str]] = [
@@ -176,6 +182,14 @@ BROKEN: list[tuple[Any, str]] = [
     (annotation(9, 1, {"size": [48, 64], "counts": "\u00e9 !"}), "characters that are no run lengths"),
     (annotation(9, 1, {"size": [48, 64], "counts": "ooooooooooooooooo"}), "beyond any frame"),
     (annotation(9, 1, {"size": [48, 64]}), "no usable counts"),
+    (annotation(9, 1, {"size": [48, 64], "counts": "oo"}), "cut off"),
+    (annotation(9, 1, {"size": [48, 64], "counts": ""}), "covers 0 of 3072"),
+    (annotation(9, 1, {"size": [48, 64], "counts": [10**400]}), "RLE has no usable counts"),
+    (annotation(9, 1, {"size": [48, 64], "counts": compressed(rectangle(1, 1, 9, 9))["counts"][:-1]}), "its RLE"),
+    (annotation(9, 1, [[1, 1, 10**400, 9, 3, 4]]), "no numbers or far outside"),
+    (annotation(9, 1, [[5.1, 5, 5.3, 5, 5.3, 40, 5.1, 40]]), "its mask is empty"),
+    (annotation(9, 1, polygon(1, 1, 9, 9), score=10**400), "is not in [0, 1]"),
+    (annotation("\ud800", 1, None), "no segmentation"),
     (annotation(9, 1, polygon(1, 1, 9, 9), score=7), "score 7 is not in"),
     (annotation(9, 1, polygon(1, 1, 9, 9), score="high"), "score 'high' is not in"),
     (annotation(9, 55, polygon(1, 1, 9, 9)), "no image with id 55"),
@@ -192,11 +206,18 @@ def test_broken_annotations_are_skipped_with_a_reason(tmp_path: Path, broken: An
         "categories": CATEGORIES,
         "annotations": [broken, annotation(10, 1, polygon(20, 20, 30, 30))],
     }
-    source = create_mask_source(write(tmp_path / "m.json", data))
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    # Known before the first frame, so that an interrupted job that goes on tells the same.
+    told = list(source.problems)
+    assert len(told) == 1
+    assert reason in told[0]
+    told[0].encode()
     for _ in range(2):
         assert masks_of(source, 0).boxes_xyxy.tolist() == [[20, 20, 30, 30]]
-    assert len(source.problems) == 1
-    assert reason in source.problems[0]
+    assert source.problems == told
+    late = create_mask_source(write(tmp_path / "m.json", data))
+    masks_of(late, 77)
+    assert late.problems == told
 
 
 @pytest.mark.parametrize(
@@ -229,3 +250,25 @@ def test_another_frame_size_is_reported_once(tmp_path: Path) -> None:
     source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
     assert len(source.problems) == 1
     assert "1920x1080 px, but the frames are 64x48" in source.problems[0]
+
+
+def test_a_file_name_of_many_digits_is_no_frame_number(tmp_path: Path) -> None:
+    images = [{"id": 1, "file_name": "9" * 5000 + ".jpg"}, {"id": 2, "file_name": "a3.jpg"}]
+    annotations = [annotation(1, 2, polygon(1, 1, 9, 9), 3)]
+    source = create_mask_source(write(tmp_path / "m.json", {"images": images, "annotations": annotations}))
+    assert len(masks_of(source, 3)) == 1
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.tuples(st.floats(-20, 84), st.floats(-20, 68)), min_size=3, max_size=6), st.floats(0.01, 1))
+def test_what_passes_the_check_can_be_decoded_and_nothing_else(
+    points: list[tuple[float, float]], squeeze: float
+) -> None:
+    flat = [v for x, y in points for v in (30 + (x - 30) * squeeze**3, y)]
+    try:
+        check_segmentation([flat], WH)
+    except ValueError as error:
+        with pytest.raises(ValueError, match=re.escape(str(error))):
+            decode_segmentation([flat], WH)
+    else:
+        assert decode_segmentation([flat], WH)[1].any()

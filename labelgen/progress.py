@@ -1,0 +1,41 @@
+"""Progress bars: with rate and time left on a terminal, a line now and then in a log, gone when something fails."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+from tqdm import tqdm
+
+__all__ = ["progress_bar"]
+
+_LOG_INTERVAL_S = 10.0
+
+
+@contextlib.contextmanager
+def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Callable[[int], object]]:
+    """Show progress on standard error; yields a function that takes the number of units done since its last call.
+
+    Args:
+        total: units to do; None where that is not known.
+        unit: what is counted.
+        title: what is being done.
+    """
+    terminal = sys.stderr.isatty()
+    bar = tqdm(
+        total=total,
+        unit=unit,
+        desc=title or None,
+        dynamic_ncols=True,
+        smoothing=0.1,
+        delay=0.0 if terminal else _LOG_INTERVAL_S,
+        mininterval=0.1 if terminal else _LOG_INTERVAL_S,
+    )
+    try:
+        yield bar.update
+    except BaseException:
+        bar.leave = False
+        raise
+    finally:
+        bar.close()

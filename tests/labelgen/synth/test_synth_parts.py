@@ -1,0 +1,116 @@
+"""Parts of the renderer whose behaviour can be said in a line."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pycocotools import mask as coco
+
+from labelgen.synth.light import Weather, make_light
+from labelgen.synth.mesh import Chart
+from labelgen.synth.render import Placed, Renderer, painting_order
+from labelgen.synth.scenes import look_at_road, procedural_scene, road_to_image
+from labelgen.synth.shapes import BODY_TYPES
+from labelgen.synth.traffic import random_traffic
+from labelgen.synth.truth import encode_mask
+from labelgen.synth.vehicles import make_vehicle, vehicle_size
+
+
+@pytest.mark.parametrize("kind", BODY_TYPES)
+def test_bodies_have_real_sizes_and_stand_on_the_road(kind: str) -> None:
+    for seed in range(4):
+        vehicle = make_vehicle(kind, np.random.default_rng(seed))
+        base = BODY_TYPES[kind]
+        np.testing.assert_allclose(vehicle.size_lwh, [base.length, base.width, base.height], rtol=0.17)
+        body = vehicle.mesh.vertices[vehicle.mesh.triangles[vehicle.mesh.charts != Chart.MIRROR]].reshape(-1, 3)
+        np.testing.assert_allclose(np.ptp(body, axis=0), vehicle.size_lwh)
+        assert vehicle.mesh.vertices[:, 2].min() == pytest.approx(0)
+        np.testing.assert_allclose(np.linalg.norm(vehicle.mesh.normals, axis=-1), 1, atol=1e-4)
+        assert np.array_equal(vehicle_size(kind, np.random.default_rng(seed)), vehicle.size_lwh)
+
+
+def test_bodies_are_closed_seen_from_outside() -> None:
+    """The volume by the divergence theorem is positive and below the cuboid's."""
+    for kind in BODY_TYPES:
+        mesh = make_vehicle(kind, np.random.default_rng(0)).mesh
+        a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+        volume = (np.cross(a, b) * c).sum() / 6
+        assert 0.3 < volume / np.ptp(mesh.vertices, axis=0).prod() < 1.0, kind
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 12), st.integers(1, 12), st.integers(0, 5), st.integers(0, 5), st.booleans(), st.integers(0, 1 << 30)
+)
+def test_run_lengths_are_those_of_pycocotools(h: int, w: int, x: int, y: int, fits: bool, seed: int) -> None:
+    part = np.random.default_rng(seed).random((h, w)) < 0.6
+    size = (x + w, y + h) if fits else (x + w + 3, y + h + 2)
+    whole = np.zeros(size[::-1], dtype=np.uint8, order="F")
+    whole[y : y + h, x : x + w] = part
+    expected = coco.encode(whole)["counts"].decode()
+    assert encode_mask(part, (x, y), size)["counts"] == expected
+
+
+def test_the_road_homography_agrees_with_the_camera() -> None:
+    camera = look_at_road(7.0, (25.0, 3.0), 1500.0, (1920, 1080), 1.0)
+    assert camera.height_m == pytest.approx(7.0)
+    points = np.array([[12.0, -3.0], [40.0, 5.0], [80.0, 0.0]])
+    mapped = np.column_stack([points, np.ones(3)]) @ road_to_image(camera).T
+    np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], camera.project(points), atol=1e-6)
+    np.testing.assert_allclose(camera.project([25.0, 3.0]), [960, 540], atol=1e-6)
+
+
+def scene_with(places: list[tuple[float, float]]) -> tuple[Renderer, list[Placed]]:
+    camera = look_at_road(7.0, (25.0, 1.0), 1000.0, (960, 540))
+    light = make_light(Weather.DAY, np.random.default_rng(0))
+    renderer = Renderer(camera, np.full((540, 960, 3), 90, np.uint8), light, seed=0)
+    vehicles = [make_vehicle("hatchback", np.random.default_rng(k)) for k in range(len(places))]
+    return renderer, [
+        Placed(k, v, np.array(place), -1, 20.0) for k, (v, place) in enumerate(zip(vehicles, places, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_nearer_vehicles_hide_farther_ones(order: tuple[int, ...]) -> None:
+    places = [(20.0, 0.0), (25.5, 0.3), (31.0, 0.0)]
+    renderer, placed = scene_with([places[k] for k in order])
+    drawn = {order[d.track_id]: d.visible for d in renderer.truth(placed)}
+    assert drawn[0] == 1
+    assert drawn[1] < 1
+    assert drawn[2] < 1
+    assert [order[k] for k in painting_order(placed)] == [2, 1, 0]
+
+
+def test_drawing_and_truth_give_the_same_masks() -> None:
+    renderer, placed = scene_with([(20.0, 2.0), (26.0, 0.5)])
+    _, drawn = renderer.frame(placed)
+    for a, b in zip(drawn, renderer.truth(placed), strict=True):
+        assert a.track_id == b.track_id
+        assert a.origin_px == b.origin_px
+        assert np.array_equal(a.mask, b.mask)
+
+
+def test_a_shadow_falls_away_from_the_sun() -> None:
+    renderer, placed = scene_with([(25.0, 0.0)])
+    image, _ = renderer.frame(placed)
+    # Of two spots beside the car, the one on the far side from the sun is darker.
+    away = -np.sign(renderer.light.sun_direction[1])
+    dark, bright = (renderer.camera.project([25.0, side * 1.25]).astype(int) for side in (away, -away))
+    values = [image[y - 2 : y + 3, x - 2 : x + 3].mean() for x, y in (dark, bright)]
+    assert values[0] < values[1] - 10
+
+
+def test_vehicles_of_a_lane_never_meet() -> None:
+    scene = procedural_scene(np.random.default_rng(3), (1280, 720))
+    trips = random_traffic(scene, 60.0, 5, per_minute=40)
+    assert len(trips) > 40
+    for time in np.arange(0.0, 60.0, 0.5):
+        for lane in scene.lanes:
+            low, high = scene.x_range
+            here = sorted((t.near_x(time), t.near_x(time) + t.size_lwh[0]) for t in trips if t.lane is lane)
+            here = [span for span in here if span[1] > low and span[0] < high]
+            assert all(a[1] < b[0] for a, b in pairwise(here))

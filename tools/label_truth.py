@@ -1,0 +1,303 @@
+"""How near labels from exact masks come to exact 3D boxes: rendered vehicles of every body type.
+
+    python -m tools.label_truth --out docs/synthetic-labels.md --pictures docs/pictures [--real DIR] [--count 24]
+
+Every vehicle stands alone and wholly inside the picture, so that what is measured is the method's own error: real
+vehicles are not boxes. DIR holds brnocompspeed/dataset and brnocompspeed/results; only numbers leave it, pictures
+are of made-up roads alone.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from labelgen.errors import LabelgenError
+from labelgen.geometry import (
+    Outline,
+    Pair,
+    Rectification,
+    RoadMask,
+    Rule,
+    decode_boxes,
+    encode_boxes,
+    label_outlines,
+    rectified_outline,
+    road_cuboids,
+)
+from labelgen.synth.light import Weather, make_light
+from labelgen.synth.render import Placed, Renderer
+from labelgen.synth.road import draw_road
+from labelgen.synth.scenes import Scene, procedural_scene
+from labelgen.synth.shapes import BODY_TYPES
+from labelgen.synth.vehicles import make_vehicle
+from tools.draw import crop_around, draw_box3d, draw_text, tile_pictures
+
+__all__ = ["HEIGHTS", "PAIRS", "Case", "main", "measure_scene", "page"]
+
+HEIGHTS = (20, 40, 80)
+"""Heights of the exact 2D box, rectified px; each stands for what is nearest to it on a logarithmic scale."""
+PAIRS = {Pair.VP2_VP3: (640, 360), Pair.VP1_VP2: (360, 640)}
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One vehicle in one rectified image.
+
+    Args:
+        scene: which scene.
+        pair: which rectification.
+        kind: body type.
+        seed: of its looks.
+        heading: +1 away from the camera, -1 towards it.
+        near_xy: (2,) metres.
+        height_px: of the exact 2D box.
+        iou: of the mask's 2D box with the exact one.
+        box_xyxy: (4,) the mask's 2D box.
+        exact_cc: c_c of the exact 3D box.
+        cc: by rule.
+    """
+
+    scene: int
+    pair: Pair
+    kind: str
+    seed: int
+    heading: int
+    near_xy: NDArray[np.float64]
+    height_px: float
+    iou: float
+    box_xyxy: NDArray[np.float64]
+    exact_cc: float
+    cc: dict[Rule, float]
+
+
+def _iou(a: NDArray[Any], b: NDArray[Any]) -> float:
+    wh = np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None)
+    inner = float(wh.prod())
+    return inner / float((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - inner)
+
+
+def _rectifications(scene: Scene) -> dict[Pair, Rectification]:
+    mask = RoadMask(scene.road_mask)
+    return {pair: Rectification.from_road_mask(scene.camera, mask, pair, size) for pair, size in PAIRS.items()}
+
+
+def _spots(scene: Scene, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """(count, 2) metres on the road, spread evenly over the logarithm of the distance."""
+    rows, columns = np.nonzero(scene.road_mask)
+    pick = rng.integers(0, len(rows), 4000)
+    ground = scene.camera.road_points(np.stack([columns[pick], rows[pick]], axis=1) + 0.5, invalid="nan")
+    ground = ground[np.isfinite(ground).all(axis=1) & (ground[:, 0] < 120)]
+    weight = 1 / np.hypot(ground[:, 0], ground[:, 1])
+    # Pixels crowd near the camera as the inverse cube of the distance.
+    weight = np.hypot(ground[:, 0], ground[:, 1]) ** 2 * weight
+    return np.asarray(ground[rng.choice(len(ground), count, p=weight / weight.sum())])
+
+
+def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[str] | None = None) -> list[Case]:
+    """Cases of one scene: `count` places per body type, each in both rectifications where it fits.
+
+    Args:
+        scene: its picture is not needed.
+        number: of the scene, to find it again.
+        count: vehicles per body type.
+        seed: what they look like and where they stand.
+        kinds: body types; all when None, and "box".
+    """
+    assert scene.camera.image_wh is not None
+    size = scene.camera.image_wh
+    light = make_light(Weather.OVERCAST, np.random.default_rng(0))
+    renderer = Renderer(scene.camera, np.zeros((size[1], size[0], 3), np.uint8), light, seed=0)
+    rects = _rectifications(scene)
+    cases: list[Case] = []
+    for place, kind in enumerate(kinds or [*BODY_TYPES, "box"]):
+        rng = np.random.default_rng([seed, number, place])
+        for near in _spots(scene, rng, count):
+            looks, heading = int(rng.integers(1 << 30)), int(rng.choice([-1, 1]))
+            cases += _cases(scene, number, renderer, rects, kind, looks, heading, near)
+    return cases
+
+
+def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> Placed:
+    vehicle = make_vehicle(kind, np.random.default_rng(looks))
+    return Placed(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
+
+
+def _cases(
+    scene: Scene, number: int, renderer: Renderer, rects: dict[Pair, Rectification], kind: str, looks: int,
+    heading: int, near: NDArray[Any],
+) -> list[Case]:  # fmt: skip
+    placed = _placed(kind, looks, heading, near)
+    vertices = scene.camera.project(road_cuboids(near[None], placed.vehicle.size_lwh[None]))
+    size = np.array(scene.camera.image_wh)
+    if not (np.isfinite(vertices).all() and (vertices > 1).all() and (vertices < size - 1).all()):
+        return []
+    cases = []
+    drawn = None
+    for pair, rect in rects.items():
+        inside = rect.points(vertices)
+        if not (np.isfinite(inside).all() and (inside > 0).all() and (inside < rect.size_wh).all()):
+            continue
+        exact = encode_boxes(inside, rect.vpu)
+        if not decode_boxes(exact.boxes_xyxy, exact.cc, rect.vpu)[1][0]:
+            continue
+        drawn = drawn or renderer.truth([placed])
+        outline: Outline | None = rectified_outline(rect, drawn[0].mask, drawn[0].origin_px)
+        if outline is None:
+            continue
+        found = {rule: label_outlines([outline], rect.vpu, rule) for rule in Rule}
+        if not all(label.valid[0] for label in found.values()):
+            continue
+        box = found[Rule.WIDER].boxes_xyxy[0]
+        cases.append(
+            Case(
+                number, pair, kind, looks, heading, near, float(exact.boxes_xyxy[0, 3] - exact.boxes_xyxy[0, 1]),
+                _iou(box, exact.boxes_xyxy[0]), box, float(exact.cc[0]),
+                {rule: float(label.cc[0]) for rule, label in found.items()},
+            )
+        )  # fmt: skip
+    return cases
+
+
+# -- the page ---------------------------------------------------------------------------------------------
+
+
+def _bin(case: Case) -> int | None:
+    nearest = min(HEIGHTS, key=lambda h: abs(np.log(case.height_px / h)))
+    return nearest if abs(np.log(case.height_px / nearest)) <= np.log(2) / 2 else None
+
+
+def _row(cases: list[Case]) -> str:
+    iou = np.percentile([c.iou for c in cases], [50, 5, 1])
+    cells = [str(len(cases)), *(f"{v:.3f}" for v in iou)]
+    for rule in Rule:
+        error = np.array([c.cc[rule] - c.exact_cc for c in cases])
+        cells += [f"{v:.3f}" for v in np.percentile(np.abs(error), [50, 95, 99])] + [f"{error.mean():+.3f}"]
+    return " | ".join(cells)
+
+
+_HEADER = (
+    "n | IoU median | p5 | p1 | wider: median | p95 | p99 | bias | conditioned: median | p95 | p99 | bias |\n"
+)  # fmt: skip
+
+
+def _table(first: str, groups: dict[str, list[Case]]) -> str:
+    lines = [f"| {first} | {_HEADER}| --- {'| ---: ' * 12}|"]
+    lines += [f"| {name} | {_row(cases)} |" for name, cases in groups.items() if len(cases) >= 20]
+    return "\n".join(lines)
+
+
+def page(cases: list[Case], scenes: int, real: int) -> str:
+    """The Markdown page."""
+    kinds = [*BODY_TYPES, "box"]
+    parts = [
+        "# How exact are labels from masks of real shapes?\n",
+        "Made by `python -m tools.label_truth`. Rendered vehicles, each alone and wholly inside the picture, in "
+        f"{scenes} made-up and {real} real camera geometries, towards and away from the camera. The mask is exact; its "
+        "label is compared with the one encoded from the body's exact 3D box (without mirrors).\n",
+        "IoU is that of the 2D boxes, with its 5th and 1st percentiles (lower is worse); then |c_c error| with its "
+        "95th and 99th percentiles for both rules, and the mean error with its sign. A height stands for boxes within "
+        "a factor of the square root of 2. `box` is a plain cuboid: what is left there is the raster's error alone.\n",
+    ]
+    vehicles = [c for c in cases if c.kind != "box"]
+    for pair, size in PAIRS.items():
+        here = [c for c in vehicles if c.pair is pair]
+        parts.append(f"## {pair}, {size[0]}x{size[1]}\n")
+        parts.append(_table("all vehicles", {f"{h} px": [c for c in here if _bin(c) == h] for h in HEIGHTS}) + "\n")
+        for h in HEIGHTS:
+            groups = {k: [c for c in cases if c.kind == k and c.pair is pair and _bin(c) == h] for k in kinds}
+            parts.append(f"### Box height {h} px\n\n" + _table("body", groups) + "\n")
+    return "\n".join(parts)
+
+
+# -- the worst ------------------------------------------------------------------------------------------------
+
+
+def _worst(cases: list[Case], pair: Pair, rule: Rule, count: int = 10) -> list[Case]:
+    """The worst, at most one of each vehicle body in a scene so that they are not all the same."""
+    seen, out = set(), []
+    for case in sorted(cases, key=lambda c: -abs(c.cc[rule] - c.exact_cc)):
+        if case.pair is pair and case.kind != "box" and _bin(case) in (40, 80) and (case.scene, case.kind) not in seen:
+            seen.add((case.scene, case.kind))
+            out.append(case)
+    return out[:count]
+
+
+def _picture(case: Case, scene: Scene, rule: Rule) -> NDArray[np.uint8]:
+    rng = np.random.default_rng([case.scene, 3])
+    light = make_light(Weather.DAY, rng)
+    background = scene.background if scene.background is not None else draw_road(scene, light, rng)
+    placed = _placed(case.kind, case.seed, case.heading, case.near_xy)
+    image, _ = Renderer(scene.camera, background, light, seed=0).frame([placed])
+    rect = _rectifications(scene)[case.pair]
+    seen = rect.warp_image(image)
+    exact = rect.points(scene.camera.project(road_cuboids(case.near_xy[None], placed.vehicle.size_lwh[None])))
+    found, _ = decode_boxes(case.box_xyxy[None], [case.cc[rule]], rect.vpu)
+    around = np.concatenate([exact[0].min(axis=0), exact[0].max(axis=0)])
+    left, matrix = crop_around(seen, around, 0.15, 260)
+    right = left.copy()
+    for view, vertices in ((left, exact[0]), (right, found[0])):
+        draw_box3d(view, vertices @ matrix[:2, :2].T + matrix[:2, 2])
+    draw_text(left, f"exact c_c {case.exact_cc:.3f}", (6, 252))
+    draw_text(right, f"{case.kind}, label {case.cc[rule]:.3f}", (6, 252))
+    return np.concatenate([left, right], axis=1)
+
+
+def _real_scenes(root: Path) -> list[Scene]:
+    from labelgen.synth.replay import load_scene
+
+    folders = sorted((root / "brnocompspeed" / "dataset").glob("session*"))
+    return [load_scene(f, Weather.OVERCAST, np.random.default_rng(0))[0] for f in folders]
+
+
+def main(
+    out: Annotated[Path, typer.Option("--out", help="The page, Markdown.")] = Path("synthetic-labels.md"),
+    pictures: Annotated[Path | None, typer.Option("--pictures", help="Folder for pictures of the worst.")] = None,
+    real: Annotated[Path | None, typer.Option("--real", help="Real data, for more camera geometries.")] = None,
+    count: Annotated[int, typer.Option(min=1, help="Vehicles per body type and scene.")] = 24,
+    scenes: Annotated[int, typer.Option(min=1, help="Made-up scenes.")] = 12,
+) -> None:
+    """Measure labels from exact masks against exact 3D boxes."""
+    from tqdm import tqdm
+
+    root = real or (Path(os.environ["LABELGEN_REAL_DATA"]) if "LABELGEN_REAL_DATA" in os.environ else None)
+    made_up = [
+        procedural_scene(np.random.default_rng([k, 41]), (1920, 1080), depth_m=130.0 if k % 2 else 60.0)
+        for k in range(scenes)
+    ]
+    real_scenes = [] if root is None else _real_scenes(root)
+    cases: list[Case] = []
+    for number, scene in enumerate(tqdm([*made_up, *real_scenes], unit="scene")):
+        try:
+            cases += measure_scene(scene, number, count, 7)
+        except LabelgenError as err:
+            typer.echo(f"{scene.name}: left out: {err}", err=True)
+    out.write_text(page(cases, len(made_up), len(real_scenes)), encoding="utf-8")
+    if pictures is None:
+        return
+    pictures.mkdir(parents=True, exist_ok=True)
+    drawable = [c for c in cases if c.scene < len(made_up)]
+    for pair in PAIRS:
+        worst = _worst(drawable, pair, Rule.WIDER)
+        for number in {c.scene for c in worst}:
+            if made_up[number].background is None:
+                rng = np.random.default_rng([number, 3])
+                light = make_light(Weather.DAY, rng)
+                made_up[number] = replace(made_up[number], background=draw_road(made_up[number], light, rng))
+        tiles = [_picture(case, made_up[case.scene], Rule.WIDER) for case in worst]
+        name = f"synthetic-worst-{pair.value.lower()}.jpg"
+        cv2.imwrite(str(pictures / name), tile_pictures(tiles, 2), [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
+if __name__ == "__main__":
+    try:
+        typer.run(main)
+    except LabelgenError as err:
+        raise SystemExit(f"error: {err}") from None
