@@ -28,10 +28,12 @@ from detector.model import CcRetinaNet
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, RoadMask
-from labelgen.sources.frames import Frame
+from labelgen.labels import Labels
+from labelgen.sources.frames import Frame, FrameSource
 
 __all__ = ["Detector", "DeviceRectifier", "ModelDetections", "choose_device", "fold_batch_norm"]
 
+_GPU_BATCH = 8
 _RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
 
 
@@ -136,6 +138,20 @@ class Detector:
         model, card = load_detector(path, score_thresh=score)
         return cls(model, card, **options)
 
+    @property
+    def batch_size(self) -> int:
+        """How many pictures to give at once: more than one gains on a GPU alone."""
+        return 1 if self.device.type == "cpu" else _GPU_BATCH
+
+    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Labels]:
+        """The vehicles in rectified pictures (H, W, 3) uint8 BGR: `detector.sources.Detector`."""
+        found = []
+        for output in self([self.tensor(image) for image in images]):
+            # Boxes cut at the border may have no area left.
+            solid = output[(output.boxes_xyxy[:, :2] < output.boxes_xyxy[:, 2:]).all(axis=1)]
+            found.append(Labels(solid.boxes_xyxy, solid.cc, scores=solid.scores))
+        return found
+
     def tensor(self, image: NDArray[np.uint8]) -> Tensor:
         """A rectified picture (H, W, 3) uint8 BGR as input."""
         return to_tensor(image, self.device)
@@ -152,7 +168,7 @@ class Detector:
 
 
 class ModelDetections:
-    """A detector as the `DetectionSource` of one scene, see `detector.mask_detections`.
+    """A detector as the `DetectionSource` of one scene, see `detector.sources`.
 
     Args:
         detector: the model.
@@ -204,8 +220,12 @@ class ModelDetections:
             return self._rectifier(frame)
         return self._detector.tensor(self._rectification.warp_image(frame))
 
-    def stream(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
-        """Each frame with its detections, in order."""
+    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
+        """See `DetectionSource.stream`."""
+        return self.detections(frames.frames())
+
+    def detections(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
+        """Each of some frames with its detections, in order."""
         coming = iter(frames)
         while batch := list(islice(coming, self._batch)):
             outputs = self._detector([self.rectify(frame.image) for frame in batch])

@@ -25,6 +25,7 @@ from detector.infer import Detector, ModelDetections
 from detector.model import ModelConfig, build_model
 from detector.pipeline import detect
 from detector.presets import find_preset
+from detector.timed_frames import TimedFrames
 from detector.track import IouTracker
 from labelgen.geometry import parse_size
 from labelgen.sources.frames import open_frames
@@ -96,7 +97,7 @@ def benchmark_stages(
         if len(pictures) >= min(frames, 40):
             break
     decode = (time.perf_counter() - begin) / len(pictures)
-    list(model.stream(pictures[:3]))
+    list(model.detections(pictures[:3]))
     begin = _sync(detector.device)
     inputs = [model.rectify(frame.image) for frame in pictures]
     rectify = (_sync(detector.device) - begin) / len(pictures)
@@ -107,7 +108,7 @@ def benchmark_stages(
 
     tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
     begin, busy = time.perf_counter(), time.process_time()
-    for _, found in detect(model, video.frames()):
+    for _, found in detect(model, TimedFrames(video, fps=video.fps)):
         start = time.perf_counter()
         tracker.update(found.frame, found.boxes_xyxy, found.scores)
         tracking += time.perf_counter() - start

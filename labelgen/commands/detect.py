@@ -109,7 +109,7 @@ def _of_frames(
     model = ModelDetections(detector, scene.camera(frames.size_wh), scene.road())
     yield detections_head(model.view, frames.fps or scene.fps), 0, None
     coming = islice(frames.frames(lambda number: number % every == 0), limit)
-    for frame, found in model.stream(coming):
+    for frame, found in model.detections(coming):
         text = json.dumps(found.to_dict()) + "\n"
         yield text, len(found), lambda frame=frame, found=found: draw_detections(model.view, frame.image, found)
 

@@ -75,12 +75,22 @@ def test_a_detector_is_a_source_of_detections() -> None:
     assert source.view.size_wh == (160, 96)
     rng = np.random.default_rng(0)
     frames = [Frame(n, n / 25, np.asarray(rng.integers(0, 255, (SIZE[1], SIZE[0], 3)), np.uint8)) for n in range(5)]
-    out = list(source.stream(frames))
+    out = list(source.detections(frames))
     assert [frame.number for frame, _ in out] == [0, 1, 2, 3, 4]
     assert [found.frame for _, found in out] == [0, 1, 2, 3, 4]
     assert any(len(found) for _, found in out)
-    alone = list(ModelDetections(Detector(model(), card(), device="cpu"), CAMERA, ROAD).stream(frames[2:3]))
+    alone = list(ModelDetections(Detector(model(), card(), device="cpu"), CAMERA, ROAD).detections(frames[2:3]))
     np.testing.assert_allclose(alone[0][1].boxes_xyxy, out[2][1].boxes_xyxy, atol=1e-3)
+
+
+def test_a_detector_gives_labels() -> None:
+    detector = Detector(model(), card(), device="cpu")
+    image = painted_sample(1).image
+    (labels,) = detector.detect([image])
+    (found,) = detector([detector.tensor(image)])
+    assert detector.batch_size == 1
+    assert 0 < len(labels) <= len(found)
+    np.testing.assert_allclose(np.sort(labels.scores)[-3:], np.sort(found.scores)[-3:], rtol=1e-6)
 
 
 def test_half_precision_is_close() -> None:
