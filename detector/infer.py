@@ -149,7 +149,7 @@ class Detector:
         for output in self([self.tensor(image) for image in images]):
             # Boxes cut at the border may have no area left.
             solid = output[(output.boxes_xyxy[:, :2] < output.boxes_xyxy[:, 2:]).all(axis=1)]
-            found.append(Labels(solid.boxes_xyxy, solid.cc, scores=solid.scores))
+            found.append(Labels(solid.boxes_xyxy, solid.cc, scores=solid.scores.astype(np.float32)))
         return found
 
     def tensor(self, image: NDArray[np.uint8]) -> Tensor:
