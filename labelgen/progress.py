@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 
 from tqdm import tqdm
 
-__all__ = ["progress_bar"]
+__all__ = ["asked_to_stop", "progress_bar"]
 
 _LOG_INTERVAL_S = 10.0
 
@@ -39,3 +41,27 @@ def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Call
         raise
     finally:
         bar.close()
+
+
+@contextlib.contextmanager
+def asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a question to be asked between two items, so that none is left half done.
+
+    Yields a function that says whether somebody asked; a second Ctrl-C interrupts at once.
+    """
+    asked = False
+
+    def note(number: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: asked
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)

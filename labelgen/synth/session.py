@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from labelgen.errors import OutputError
 from labelgen.files import make_folder, write_atomic, write_json
+from labelgen.progress import asked_to_stop
 from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.render import Drawn, Placed, Renderer
 from labelgen.synth.road import draw_road
@@ -160,25 +161,25 @@ def _render(
         path = folders["dataset"] / "video.avi"
         writer = stack.enter_context(VideoWriter(path, fps, renderer.size_wh)) if video else None
         bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
-        try:
-            for number in range(count):
-                time_s = number / fps
-                here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
-                drawn: list[Drawn] | None = None
-                if writer is not None:
-                    ids = {t.track_id for t in here}
-                    renderer.forget({k for k in vehicles if k not in ids})
-                    vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
-                    placed = [place(t, vehicles[t.track_id], time_s) for t in here]
-                    image, drawn = renderer.frame(placed, number=number)
-                    writer.write(image)
-                    masks += len(drawn)
-                truth.add(number, here, drawn)
-                done += 1
-                bar.update()
-        except KeyboardInterrupt:
-            # What is written so far is a shorter recording, complete in itself.
-            complete = False
+        stop = stack.enter_context(asked_to_stop())
+        for number in range(count):
+            if stop():  # what is written so far is a shorter recording, complete in itself
+                complete = False
+                break
+            time_s = number / fps
+            here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
+            drawn: list[Drawn] | None = None
+            if writer is not None:
+                ids = {t.track_id for t in here}
+                renderer.forget({k for k in vehicles if k not in ids})
+                vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
+                placed = [place(t, vehicles[t.track_id], time_s) for t in here]
+                image, drawn = renderer.frame(placed, number=number)
+                writer.write(image)
+                masks += len(drawn)
+            truth.add(number, here, drawn)
+            done += 1
+            bar.update()
         cars = truth.result_cars()
     return complete, done, masks, cars
 
