@@ -172,14 +172,12 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
     from labelgen.manifest import load_manifest
     from labelgen.masks import create_mask_source, prime_masks
 
-    if kind == "model":
-        raise LabelgenError(
-            f"--from {options.from_}: model checkpoints come with the detector, which is not part of this version; "
-            "use masks:... or detections:FILE"
-        )
+    if kind == "model" and argument:
+        return _from_model(options, Path(argument))
     if kind != "masks" or not argument:
         raise LabelgenError(
-            f"--from {options.from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE or detections:FILE"
+            f"--from {options.from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, model:FILE or "
+            "detections:FILE"
         )
     chosen, pair = Variant.parse(options.variant or "transform3d"), Pair.parse(options.pair or "VP2-VP3")
     rule = Rule.parse(options.rule)
@@ -201,6 +199,32 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
 
     return _Job(
         frames.name if is_url else _name(options.source), view, timed.fps, frames, detector, found, timed.frame_count
+    )
+
+
+def _from_model(options: _Options, checkpoint: Path) -> _Job:
+    from detector.infer import Detector, ModelDetections
+    from detector.pipeline import detect
+    from detector.timed_frames import TimedFrames
+    from detector.variants import Variant
+    from labelgen.errors import LabelgenError
+    from labelgen.geometry import Pair, parse_size
+
+    model = Detector.load(checkpoint, score=options.score, device=options.device)
+    card = model.card
+    asked = (options.pair and Pair.parse(options.pair), options.size and parse_size(options.size))
+    if any(given and given != own for given, own in zip(asked, (card.pair, card.size_wh), strict=True)):
+        raise LabelgenError(
+            f"--from {options.from_}: it sees {card.pair} pictures of {card.size_wh[0]}x{card.size_wh[1]}; leave out "
+            "--pair and --size, or use a checkpoint trained for them"
+        )
+    frames, camera, road, rate = _open(options)
+    variant = Variant.parse(options.variant) if options.variant else None
+    detections = ModelDetections(model, camera, road, variant=variant, batch=model.batch_size)
+    timed = TimedFrames(frames, fps=frames.fps or rate, duration_s=options.duration)
+    name = frames.name if _is_url(options) else _name(options.source)
+    return _Job(
+        name, detections.view, timed.fps, frames, detections, lambda: detect(detections, timed), timed.frame_count
     )
 
 

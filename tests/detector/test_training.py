@@ -263,3 +263,15 @@ def test_exported_model_is_the_same(labelgen: Run, trained: Path, shards: Path, 
     parity = json.loads((tmp_path / "out.json").read_text())["parity"]
     assert parity["boxes"] > 100
     assert max(parity["px"], parity["cc"], parity["score"]) < 1e-4
+
+
+def test_speeds_from_a_checkpoint(labelgen: Run, trained: Path, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path, 4, coco=False)
+    model = f"model:{trained / 'last.ckpt'}"
+    options = ("--score", 0.0, "--device", "cpu", "--out", "speeds", "--json", "out.json")
+    done = labelgen("speed", clip, "--from", model, *options, **ONE_THREAD)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "out.json").read_text())["frames"] == 4
+    done = labelgen("speed", clip, "--from", model, "--pair", "VP1-VP2", "--overwrite", *options, **ONE_THREAD)
+    assert done.returncode == 2
+    assert "leave out --pair and --size" in done.stderr

@@ -199,7 +199,7 @@ def test_a_session_has_lanes_and_can_be_scored(scene: Path, tmp_path: Path) -> N
 
 
 WRONG = [
-    ([], ("--from", "model:best.pt"), "model checkpoints come with the detector"),
+    ([], ("--from", "model:best.pt"), "best.pt: No such file"),
     ([], ("--from", "magic"), "unknown; use masks:background"),
     ([], ("--from", "masks:magic"), "unknown mask source"),
     ([], ("--from", "masks:coco:nowhere.json"), "no such file"),
