@@ -16,7 +16,7 @@ import torch
 from detector.model import CcRetinaNet, ModelConfig, build_model
 from labelgen import __version__
 from labelgen.errors import DataError, LabelgenError
-from labelgen.geometry import Pair
+from labelgen.geometry import Pair, Region
 
 __all__ = ["CARD_KEY", "Card", "load_detector", "read_checkpoint", "take_weights"]
 
@@ -46,6 +46,12 @@ class Card:
     labels: list[dict[str, Any]]
     training: dict[str, Any]
     producer: str = f"labelgen {__version__}"
+
+    @property
+    def region(self) -> Region:
+        """What the pictures it was trained on show, crops apart: the road, or the whole frame."""
+        regions = {s["region"] for labels in self.labels for s in labels["settings"] if "region" in s}
+        return Region.FRAME if regions == {Region.FRAME} else Region.ROAD
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values."""

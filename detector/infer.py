@@ -6,9 +6,8 @@ compiled where asked for. There frames are rectified on the device, too; on a CP
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice, pairwise
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +21,14 @@ from torchvision.models._utils import IntermediateLayerGetter
 from torchvision.models.resnet import BasicBlock, Bottleneck
 
 from detector.checkpoint import Card, load_detector
-from detector.detections import Detections
 from detector.evaluate import Found
 from detector.model import CcRetinaNet
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError
-from labelgen.geometry import Camera, Rectification, RoadMask
+from labelgen.geometry import Camera, Rectification, Region, RoadMask
 from labelgen.labels import Labels
-from labelgen.sources.frames import Frame, FrameSource
 
-__all__ = ["Detector", "DeviceRectifier", "ModelDetections", "choose_device", "fold_batch_norm"]
+__all__ = ["Detector", "DeviceRectifier", "choose_device", "fold_batch_norm", "model_view"]
 
 _GPU_BATCH = 8
 _RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
@@ -143,10 +140,16 @@ class Detector:
         """How many pictures to give at once: more than one gains on a GPU alone."""
         return 1 if self.device.type == "cpu" else _GPU_BATCH
 
-    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Labels]:
-        """The vehicles in rectified pictures (H, W, 3) uint8 BGR: `detector.sources.Detector`."""
+    def rectifier(self, rectification: Rectification) -> Callable[[NDArray[np.uint8]], Tensor]:
+        """Turns a frame into a rectified picture, on the device where that is a GPU: `detector.sources.Detector`."""
+        if self.device.type != "cpu":
+            return DeviceRectifier(rectification, self.device)
+        return lambda frame: self.tensor(rectification.warp_image(frame))
+
+    def detect(self, pictures: Sequence[Tensor]) -> list[Labels]:
+        """The vehicles in rectified pictures (3, H, W): `detector.sources.Detector`."""
         found = []
-        for output in self([self.tensor(image) for image in images]):
+        for output in self(pictures):
             # Boxes cut at the border may have no area left.
             solid = output[(output.boxes_xyxy[:, :2] < output.boxes_xyxy[:, 2:]).all(axis=1)]
             found.append(Labels(solid.boxes_xyxy, solid.cc, scores=solid.scores.astype(np.float32)))
@@ -167,70 +170,32 @@ class Detector:
         return [Found(*(out[key].double().cpu().numpy() for key in ("boxes", "cc", "scores"))) for out in outputs]
 
 
-class ModelDetections:
-    """A detector as the `DetectionSource` of one scene, see `detector.sources`.
+def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> View:
+    """The view of a scene in which a model's detections lie.
 
     Args:
-        detector: the model.
+        card: of its checkpoint.
         camera: with a scale.
         road: the road mask.
-        variant: how the measured point is found; transform2d for models without c_c.
-        batch: frames at a time; 1 keeps the delay of a live camera low.
+        variant: how the measured point is found; by default with c_c where the model has it, on the part of the
+            frame that it has seen in training.
 
     Raises:
-        LabelgenError: the variant needs no rectification of the road, or c_c from a model that has none.
+        LabelgenError: the variant needs pictures of another kind, or c_c from a model that has none.
         RectificationError: the scene admits no rectification of the model's pair and size.
     """
-
-    def __init__(
-        self, detector: Detector, camera: Camera, road: RoadMask, *, variant: Variant | None = None, batch: int = 1
-    ) -> None:
-        card = detector.card
-        chosen = variant or (Variant.TRANSFORM3D if card.config.cc_weight else Variant.TRANSFORM2D)
-        if chosen.in_frame:
-            raise LabelgenError(f"--variant {chosen}: this detector works on rectified pictures; use transform3d")
-        if chosen.is_3d and not card.config.cc_weight:
-            raise LabelgenError(f"--variant {chosen}: this detector was trained without c_c; use transform2d")
-        self._detector, self._batch = detector, batch
-        self._view = View.create(chosen, camera, road, card.pair, card.size_wh)
-        assert self._view.rectification is not None
-        self._rectification = self._view.rectification
-        on_gpu = detector.device.type != "cpu"
-        self._rectifier = DeviceRectifier(self._rectification, detector.device) if on_gpu else None
-        self._rejects: Counter[str] = Counter()
-
-    @property
-    def view(self) -> View:
-        """Where the detections lie."""
-        return self._view
-
-    @property
-    def rejects(self) -> Counter[str]:
-        """Boxes into which no 3D box fits."""
-        return self._rejects
-
-    @property
-    def problems(self) -> list[str]:
-        """None: the model takes every frame."""
-        return []
-
-    def rectify(self, frame: NDArray[np.uint8]) -> Tensor:
-        """A frame as the model's input."""
-        if self._rectifier is not None:
-            return self._rectifier(frame)
-        return self._detector.tensor(self._rectification.warp_image(frame))
-
-    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
-        """See `DetectionSource.stream`."""
-        return self.detections(frames.frames())
-
-    def detections(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
-        """Each of some frames with its detections, in order."""
-        coming = iter(frames)
-        while batch := list(islice(coming, self._batch)):
-            outputs = self._detector([self.rectify(frame.image) for frame in batch])
-            for frame, found in zip(batch, outputs, strict=True):
-                placed, valid = self._view.place(frame.number, frame.time_s, found.boxes_xyxy, found.cc, found.scores)
-                if not valid.all():
-                    self._rejects["no place on the road"] += int(np.count_nonzero(~valid))
-                yield frame, placed
+    region = card.region
+    solid, flat = {
+        Region.ROAD: (Variant.TRANSFORM3D, Variant.TRANSFORM2D),
+        Region.FRAME: (Variant.PREVIOUS3D, Variant.PREVIOUS2D),
+    }[region]
+    chosen = variant or (solid if card.config.cc_weight else flat)
+    if chosen.in_frame:
+        raise LabelgenError(f"--variant {chosen}: this detector works on rectified pictures; use {solid}")
+    if chosen.region is not region:
+        raise LabelgenError(
+            f"--variant {chosen}: this detector was trained on rectifications of the {region}; use {solid} or {flat}"
+        )
+    if chosen.is_3d and not card.config.cc_weight:
+        raise LabelgenError(f"--variant {chosen}: this detector was trained without c_c; use {flat}")
+    return View.create(chosen, camera, road, card.pair, card.size_wh)

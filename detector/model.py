@@ -3,8 +3,8 @@
     L = (L_conf + L_loc + w L_c) / N
 
 over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors
-that are positive or negative, smooth L1 (beta 1/9) over the positive ones for the box and for c_c. A label whose c_c is
-not known (`cc_known` False) is left out of L_c alone.
+that are positive or negative, smooth L1 (published: beta 1/9) over the positive ones for the box and for c_c. A label
+whose c_c is not known (`cc_known` False) is left out of L_c alone.
 
 Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized.
 
@@ -31,7 +31,6 @@ from detector.backbone import NORMS, build_backbone
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
 
-BETA = 1 / 9
 IMAGE_MEAN, IMAGE_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -48,6 +47,7 @@ class ModelConfig:
         anchor_sizes: per level, sides px of square anchors.
         anchor_ratios: heights over widths of the anchors, the same on every level.
         cc_weight: weight of the c_c term; 0 for the 2D variants.
+        beta: of the smooth L1 terms: errors below it count with their square.
         low_quality_matches: whether a label without an anchor of IoU 0.5 gets its best one nevertheless, as
             torchvision does it; the paper does not say so.
     """
@@ -63,6 +63,7 @@ class ModelConfig:
     )
     anchor_ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
     cc_weight: float = 1.0
+    beta: float = 1 / 9
     low_quality_matches: bool = False
 
 
@@ -103,16 +104,18 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         in_channels, num_anchors, norm_layer: as torchvision's.
         convs: convolutions in each tower, 1 to 4.
         cc_weight: weight of the c_c term.
+        beta: of the smooth L1 terms.
     """
 
     def __init__(
-        self, in_channels: int, num_anchors: int, norm_layer: Any = None, *, convs: int = 4, cc_weight: float = 1.0
-    ) -> None:
+        self, in_channels: int, num_anchors: int, norm_layer: Any = None, *,
+        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9,
+    ) -> None:  # fmt: skip
         super().__init__(in_channels, num_anchors, num_classes=1, norm_layer=norm_layer)
         self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer)
         for head in (self.classification_head, self.regression_head):
             head.conv = head.conv[:convs]
-        self.cc_weight = cc_weight
+        self.cc_weight, self.beta = cc_weight, beta
 
     def forward(self, x: list[Tensor]) -> dict[str, Tensor]:
         """Outputs of all anchors."""
@@ -142,11 +145,11 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
                 for t, index, a, mask in zip(targets, chosen, anchors, positive, strict=True)
             ]
         )
-        loc = F.smooth_l1_loss(head_outputs["bbox_regression"][positive], wanted, beta=BETA, reduction="sum")
+        loc = F.smooth_l1_loss(head_outputs["bbox_regression"][positive], wanted, beta=self.beta, reduction="sum")
 
         shares = torch.cat([t["cc"][index] for t, index in zip(targets, chosen, strict=True)])
         known = torch.cat([t["cc_known"][index] for t, index in zip(targets, chosen, strict=True)])
-        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=BETA, reduction="sum")
+        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=self.beta, reduction="sum")
         return {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
 
 
@@ -220,7 +223,7 @@ def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -
     anchors = AnchorGenerator(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
     head = CcHead(
         config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
-        cc_weight=config.cc_weight,
+        cc_weight=config.cc_weight, beta=config.beta,
     )  # fmt: skip
     matcher = Matcher(0.5, 0.4, allow_low_quality_matches=config.low_quality_matches)
     return CcRetinaNet(backbone, anchors, head, proposal_matcher=matcher, **options)

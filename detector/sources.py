@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from detector.detections import Detections
 from detector.variants import View
 from labelgen.errors import LabelgenError
+from labelgen.geometry import Rectification
 from labelgen.labels import Labels
 from labelgen.sources.frames import Frame, FrameSource
 
@@ -50,8 +51,12 @@ class Detector(Protocol):
     @property
     def batch_size(self) -> int: ...
 
-    def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Labels]:
-        """The vehicles in each rectified picture (H, W, 3) uint8 BGR, in its px, with scores."""
+    def rectifier(self, rectification: Rectification) -> Callable[[NDArray[np.uint8]], Any]:
+        """Turns a frame (H, W, 3) uint8 BGR into a rectified picture as `detect` takes it."""
+        ...
+
+    def detect(self, pictures: Sequence[Any]) -> list[Labels]:
+        """The vehicles in each rectified picture, in its px, with scores."""
         ...
 
 
@@ -61,22 +66,28 @@ class DetectorDetections:
     Args:
         detector: sees the rectified pictures.
         view: of a variant with a rectified picture.
+        batch: frames at a time; 1 keeps the delay of a live camera low, the detector's own number by default.
 
     Raises:
-        LabelgenError: the variant has none.
+        LabelgenError: the view has no rectified picture.
     """
 
-    def __init__(self, detector: Detector, view: View) -> None:
+    def __init__(self, detector: Detector, view: View, *, batch: int | None = None) -> None:
         if view.rectification is None:
             raise LabelgenError(f"--variant {view.variant}: it needs masks; a detector sees rectified pictures only")
         self.view, self.rejects, self.problems = view, Counter[str](), list[str]()
-        self._detector, self._rectification = detector, view.rectification
+        self._detector, self._batch = detector, batch or detector.batch_size
+        self._rectify = detector.rectifier(view.rectification)
 
     def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
         """See `DetectionSource.stream`."""
-        coming = frames.frames()
-        while batch := list(islice(coming, self._detector.batch_size)):
-            labels = self._detector.detect([self._rectification.warp_image(frame.image) for frame in batch])
+        return self.detections(frames.frames())
+
+    def detections(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
+        """Each of some frames with its detections, in order."""
+        coming = iter(frames)
+        while batch := list(islice(coming, self._batch)):
+            labels = self._detector.detect([self._rectify(frame.image) for frame in batch])
             for frame, found in zip(batch, labels, strict=True):
                 placed, valid = self.view.place(
                     frame.number, frame.time_s, found.boxes_xyxy, found.cc, found.scores, found.class_ids

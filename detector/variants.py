@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from detector.detections import Detections
 from labelgen.errors import CalibrationError, LabelgenError
-from labelgen.geometry import Camera, Pair, Rectification, RoadMask, decode_boxes
+from labelgen.geometry import Camera, Pair, Rectification, Region, RoadMask, decode_boxes
 from labelgen.geometry.projective import Array
 
 __all__ = ["Variant", "View"]
@@ -56,6 +56,11 @@ class Variant(StrEnum):
     def is_3d(self) -> bool:
         """Whether it makes 3D boxes."""
         return self in (Variant.TRANSFORM3D, Variant.MASKRCNN3D, Variant.PREVIOUS3D)
+
+    @property
+    def region(self) -> Region:
+        """The part of the frame that is rectified."""
+        return Region.FRAME if self in (Variant.PREVIOUS3D, Variant.PREVIOUS2D) else Region.ROAD
 
     @property
     def from_c_c(self) -> bool:
@@ -96,10 +101,7 @@ class View:
         """
         if variant.in_frame:
             return cls(variant, camera, None)
-        if variant in (Variant.PREVIOUS3D, Variant.PREVIOUS2D):
-            whole_frame = [0, 0, *road.size_wh]
-            return cls(variant, camera, Rectification.from_window(camera, whole_frame, pair, size_wh))
-        return cls(variant, camera, Rectification.from_road_mask(camera, road, pair, size_wh))
+        return cls(variant, camera, Rectification.of_region(variant.region, camera, road, pair, size_wh))
 
     @property
     def frame_wh(self) -> tuple[int, int]:

@@ -21,10 +21,11 @@ from typing import Any
 import torch
 from torchvision.models.detection import RetinaNet
 
-from detector.infer import Detector, ModelDetections
+from detector.infer import Detector, model_view
 from detector.model import ModelConfig, build_model
 from detector.pipeline import detect
 from detector.presets import find_preset
+from detector.sources import DetectorDetections
 from detector.timed_frames import TimedFrames
 from detector.track import IouTracker
 from labelgen.geometry import parse_size
@@ -88,7 +89,9 @@ def benchmark_stages(
     scene = find_scene(source)
     assert scene.frames_path is not None
     video = open_frames(scene.frames_path)
-    model = ModelDetections(detector, scene.camera(video.size_wh), scene.road())
+    view = model_view(detector.card, scene.camera(video.size_wh), scene.road())
+    assert view.rectification is not None
+    model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification)
 
     begin = time.perf_counter()
     pictures = []
@@ -99,7 +102,7 @@ def benchmark_stages(
     decode = (time.perf_counter() - begin) / len(pictures)
     list(model.detections(pictures[:3]))
     begin = _sync(detector.device)
-    inputs = [model.rectify(frame.image) for frame in pictures]
+    inputs = [to_input(frame.image) for frame in pictures]
     rectify = (_sync(detector.device) - begin) / len(pictures)
     begin = _sync(detector.device)
     for tensor in inputs:

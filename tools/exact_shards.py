@@ -18,7 +18,7 @@ import numpy as np
 
 from labelgen.files import make_folder
 from labelgen.generate.encoding import ImageCodec
-from labelgen.geometry import Pair, Rectification, encode_boxes, parse_size
+from labelgen.geometry import Pair, Rectification, Region, encode_boxes, parse_size
 from labelgen.geometry.projective import bounding_boxes
 from labelgen.labels import Flag, Labels, Sample
 from labelgen.shards import ShardWriter
@@ -71,7 +71,7 @@ def write_session_shard(session: Path, out: Path, number: int, pair: Pair, size_
     rectification = Rectification.from_road_mask(camera, scene.road(), pair, size_wh)
     truth = session.resolve().parents[1] / "truth" / scene.name / "boxes.jsonl"
     codec = ImageCodec()
-    settings = {"kind": "exact", "min_height_px": MIN_HEIGHT_PX, **codec.describe()}
+    settings = {"kind": "exact", "region": str(Region.ROAD), "min_height_px": MIN_HEIGHT_PX, **codec.describe()}
     path = out / f"shard-{number:03d}-{scene.name}-00000.h5"
     with ShardWriter(path, pair, size_wh, source=scene.name, settings=settings) as writer, truth.open() as lines:
         for frame, line in zip(frames.frames(), lines, strict=False):

@@ -48,6 +48,9 @@ def bcs_masks(
     ] = None,
     pair: PairOption = "VP2-VP3",
     size: SceneSizeOption = None,
+    whole_frame: Annotated[
+        bool, typer.Option("--whole-frame", help="Rectify the whole frame, not the road: for Previous2D and 3D.")
+    ] = False,
     limit: Annotated[
         int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N taken frames of each video.")
     ] = None,
@@ -75,7 +78,7 @@ def bcs_masks(
     from labelgen.generate.runner import run_job
     from labelgen.generate.video import MaskSettings, video_job
     from labelgen.geometry.mask_label import Rule
-    from labelgen.geometry.rectification import Pair, parse_size
+    from labelgen.geometry.rectification import Pair, Region, parse_size
     from labelgen.manifest import load_manifest
     from labelgen.sources.scenes import find_scene
 
@@ -97,6 +100,7 @@ def bcs_masks(
         chosen_pair,
         size_wh,
         settings,
+        region=Region.FRAME if whole_frame else Region.ROAD,
         every=every or manifest["labels"]["every"],
         limit=limit,
         per_shard=per_shard,

@@ -98,20 +98,22 @@ def _of_frames(
     from itertools import islice
 
     from detector.detection_file import detections_head
-    from detector.infer import ModelDetections
+    from detector.infer import model_view
     from detector.pictures import draw_detections
+    from detector.sources import DetectorDetections
     from labelgen.sources.frames import open_frames
     from labelgen.sources.scenes import find_scene
 
     scene = find_scene(source, calibration=calibration, road_mask=road_mask)
     assert scene.frames_path is not None
     frames = open_frames(scene.frames_path)
-    model = ModelDetections(detector, scene.camera(frames.size_wh), scene.road())
-    yield detections_head(model.view, frames.fps or scene.fps), 0, None
+    view = model_view(detector.card, scene.camera(frames.size_wh), scene.road())
+    model = DetectorDetections(detector, view)
+    yield detections_head(view, frames.fps or scene.fps), 0, None
     coming = islice(frames.frames(lambda number: number % every == 0), limit)
     for frame, found in model.detections(coming):
         text = json.dumps(found.to_dict()) + "\n"
-        yield text, len(found), lambda frame=frame, found=found: draw_detections(model.view, frame.image, found)
+        yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
 
 
 def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:

@@ -203,8 +203,9 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
 
 
 def _from_model(options: _Options, checkpoint: Path) -> _Job:
-    from detector.infer import Detector, ModelDetections
+    from detector.infer import Detector, model_view
     from detector.pipeline import detect
+    from detector.sources import DetectorDetections
     from detector.timed_frames import TimedFrames
     from detector.variants import Variant
     from labelgen.errors import LabelgenError
@@ -220,7 +221,7 @@ def _from_model(options: _Options, checkpoint: Path) -> _Job:
         )
     frames, camera, road, rate = _open(options)
     variant = Variant.parse(options.variant) if options.variant else None
-    detections = ModelDetections(model, camera, road, variant=variant, batch=model.batch_size)
+    detections = DetectorDetections(model, model_view(card, camera, road, variant))
     timed = TimedFrames(frames, fps=frames.fps or rate, duration_s=options.duration)
     name = frames.name if _is_url(options) else _name(options.source)
     return _Job(

@@ -20,7 +20,7 @@ from labelgen.generate.runner import Job, Progress, finished_part
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
 from labelgen.geometry.mask_label import Rule
-from labelgen.geometry.rectification import Pair, Rectification
+from labelgen.geometry.rectification import Pair, Rectification, Region
 from labelgen.labels import Sample
 from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
 from labelgen.shards import Reject, ShardReader, ShardWriter
@@ -77,6 +77,7 @@ def video_job(
     size_wh: tuple[int, int],
     settings: MaskSettings,
     *,
+    region: Region = Region.ROAD,
     every: int = 25,
     limit: int | None = None,
     per_shard: int = 500,
@@ -91,19 +92,20 @@ def video_job(
         scenes: the inputs.
         pair, size_wh: the rectification.
         settings: where masks come from.
+        region: what is rectified, the road or the whole frame.
         every: take every so many-th frame.
         limit: stop after so many taken frames of each video.
         per_shard: taken frames in a shard, with or without vehicles.
         codec: how images are stored.
     """
     codec = codec or ImageCodec()
-    common = {"kind": "masks", **settings.describe(), "every": every, **codec.describe()}
+    common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     units: list[VideoUnit] = []
     inputs = {}
     for number, scene in enumerate(_with_distinct_names(scenes)):
         assert scene.frames_path is not None
         prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{scene.name}"
-        unit = VideoUnit(scene, pair, size_wh, settings, every, limit, per_shard, codec, common, prefix)
+        unit = VideoUnit(scene, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix)
         unit.check()
         if number == 0:
             unit.prepare()  # the mask source is the same for all
@@ -158,6 +160,7 @@ class VideoUnit:
     scene: Scene
     pair: Pair
     size_wh: tuple[int, int]
+    region: Region
     masks: MaskSettings
     every: int
     limit: int | None
@@ -194,7 +197,7 @@ class VideoUnit:
         """Open video, calibration and road mask; raises what is wrong with them."""
         frames = self._frames()
         camera, road = self.scene.camera(frames.size_wh), self.scene.road()
-        return frames, camera, road, Rectification.from_road_mask(camera, road, self.pair, self.size_wh)
+        return frames, camera, road, Rectification.of_region(self.region, camera, road, self.pair, self.size_wh)
 
     def prepare(self) -> tuple[FrameSource, Camera, RoadMask, Rectification, MaskSource]:
         """Open everything, the mask source too."""

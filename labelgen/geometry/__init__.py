@@ -24,7 +24,7 @@ from labelgen.geometry.mask_label import (
     mask_outline,
     rectified_outline,
 )
-from labelgen.geometry.rectification import Pair, Rectification, parse_size, rectify_windows
+from labelgen.geometry.rectification import Pair, Rectification, Region, parse_size, rectify_windows
 
 __all__ = [
     "Camera",
@@ -33,6 +33,7 @@ __all__ = [
     "Outline",
     "Pair",
     "Rectification",
+    "Region",
     "RoadMask",
     "Rule",
     "cuboid_sizes",

@@ -27,12 +27,19 @@ from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
 from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, clip_polygon, translation
 
-__all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "parse_size", "rectify_windows"]
+__all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "Region", "parse_size", "rectify_windows"]
 
 CROP_STEP = 5
 """Rows cropped from the road mask's bottom per step of the coverage rule."""
 MIN_COVERAGE = 0.8
 """Share of the rectified image that the coverage rule asks for."""
+
+
+class Region(StrEnum):
+    """What a rectification is fitted to."""
+
+    ROAD = "road"
+    FRAME = "frame"
 
 
 class Pair(StrEnum):
@@ -191,6 +198,19 @@ class Rectification:
         return inverse
 
     # -- constructors -------------------------------------------------------------------------------
+
+    @classmethod
+    def of_region(
+        cls, region: Region, camera: Camera, road: RoadMask, pair: Pair, size_wh: tuple[int, int]
+    ) -> Rectification:
+        """Rectification of a scene's road, or of the whole frame as in the earlier method.
+
+        Raises:
+            RectificationError: see `from_road_mask` and `from_window`.
+        """
+        if region is Region.ROAD:
+            return cls.from_road_mask(camera, road, pair, size_wh)
+        return cls.from_window(camera, [0, 0, *road.size_wh], pair, size_wh)
 
     @classmethod
     def from_road_mask(

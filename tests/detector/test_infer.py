@@ -11,8 +11,9 @@ from clips import CAMERA, SIZE, road_mask
 from detector_shards import painted_sample
 
 from detector.checkpoint import Card
-from detector.infer import Detector, DeviceRectifier, ModelDetections, choose_device, fold_batch_norm, to_tensor
+from detector.infer import Detector, DeviceRectifier, choose_device, fold_batch_norm, model_view, to_tensor
 from detector.model import CcRetinaNet, ModelConfig, build_model
+from detector.sources import DetectorDetections
 from detector.variants import Variant
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rectification, RoadMask
@@ -70,7 +71,8 @@ def test_rectifying_on_the_device_is_opencvs() -> None:
 
 
 def test_a_detector_is_a_source_of_detections() -> None:
-    source = ModelDetections(Detector(model(), card(), device="cpu"), CAMERA, ROAD, batch=2)
+    detector, view = Detector(model(), card(), device="cpu"), model_view(card(), CAMERA, ROAD)
+    source = DetectorDetections(detector, view, batch=2)
     assert source.view.variant is Variant.TRANSFORM3D
     assert source.view.size_wh == (160, 96)
     rng = np.random.default_rng(0)
@@ -79,14 +81,14 @@ def test_a_detector_is_a_source_of_detections() -> None:
     assert [frame.number for frame, _ in out] == [0, 1, 2, 3, 4]
     assert [found.frame for _, found in out] == [0, 1, 2, 3, 4]
     assert any(len(found) for _, found in out)
-    alone = list(ModelDetections(Detector(model(), card(), device="cpu"), CAMERA, ROAD).detections(frames[2:3]))
+    alone = list(DetectorDetections(detector, view).detections(frames[2:3]))
     np.testing.assert_allclose(alone[0][1].boxes_xyxy, out[2][1].boxes_xyxy, atol=1e-3)
 
 
 def test_a_detector_gives_labels() -> None:
     detector = Detector(model(), card(), device="cpu")
     image = painted_sample(1).image
-    (labels,) = detector.detect([image])
+    (labels,) = detector.detect([detector.tensor(image)])
     (found,) = detector([detector.tensor(image)])
     assert detector.batch_size == 1
     assert 0 < len(labels) <= len(found)
@@ -108,15 +110,24 @@ def test_half_precision_is_close() -> None:
 )
 def test_variants_a_model_cannot_do(weight: float, variant: Variant, message: str) -> None:
     config = replace(CONFIG, cc_weight=weight)
-    detector = Detector(model(config), card(config), device="cpu")
     with pytest.raises(LabelgenError, match=message):
-        ModelDetections(detector, CAMERA, ROAD, variant=variant)
+        model_view(card(config), CAMERA, ROAD, variant)
 
 
 def test_models_without_cc_default_to_2d() -> None:
     config = replace(CONFIG, cc_weight=0.0)
-    source = ModelDetections(Detector(model(config), card(config), device="cpu"), CAMERA, ROAD)
-    assert source.view.variant is Variant.TRANSFORM2D
+    assert model_view(card(config), CAMERA, ROAD).variant is Variant.TRANSFORM2D
+
+
+def test_a_model_sees_the_region_it_was_trained_on() -> None:
+    labels = [{"settings": [{"kind": "masks", "region": "frame"}]}]
+    whole = replace(card(), labels=labels)
+    assert model_view(whole, CAMERA, ROAD).variant is Variant.PREVIOUS3D
+    assert model_view(whole, CAMERA, ROAD, Variant.PREVIOUS2D).variant is Variant.PREVIOUS2D
+    with pytest.raises(LabelgenError, match="rectifications of the frame; use previous3d or previous2d"):
+        model_view(whole, CAMERA, ROAD, Variant.TRANSFORM3D)
+    with pytest.raises(LabelgenError, match="rectifications of the road"):
+        model_view(card(), CAMERA, ROAD, Variant.PREVIOUS3D)
 
 
 def test_unknown_devices_are_named() -> None:

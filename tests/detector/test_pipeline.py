@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from detector.speed import SpeedMeter
 from detector.timed_frames import TimedFrames
 from detector.variants import Variant
 from labelgen.errors import DataError, LabelgenError
-from labelgen.geometry import Pair, label_outlines, mask_outline
+from labelgen.geometry import Pair, Rectification, label_outlines, mask_outline
 from labelgen.labels import Labels
 from labelgen.sources.frames import open_frames
 
@@ -32,6 +33,9 @@ class ColourDetector:
 
     def __init__(self, vpu: NDArray[np.float64]) -> None:
         self.vpu, self.batches = vpu, list[int]()
+
+    def rectifier(self, rectification: Rectification) -> Callable[[NDArray[np.uint8]], Any]:
+        return rectification.warp_image
 
     def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Labels]:
         import cv2
