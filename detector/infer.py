@@ -1,7 +1,8 @@
 """A trained detector at work: frames in, detections out.
 
-The network runs channels-last, its batch normalisation folded into its convolutions, on a GPU in half precision and
-compiled where asked for. There frames are rectified on the device, too; on a CPU OpenCV does it.
+The network runs channels-last, its batch normalisation folded into its convolutions, in half precision where the
+device gains from it, and compiled where asked for. On a GPU frames are rectified on the device, too; on a CPU OpenCV
+does it.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from torchvision.models._utils import IntermediateLayerGetter
 from torchvision.models.resnet import BasicBlock, Bottleneck
 
 from detector.checkpoint import Card, load_detector
+from detector.device import choose_device, gains_from_half
 from detector.evaluate import Found
 from detector.model import CcRetinaNet
 from detector.variants import Variant, View
@@ -28,24 +30,10 @@ from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
 from labelgen.labels import Labels
 
-__all__ = ["Detector", "DeviceRectifier", "choose_device", "fold_batch_norm", "model_view"]
+__all__ = ["Detector", "DeviceRectifier", "fold_batch_norm", "model_view"]
 
 _GPU_BATCH = 8
 _RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
-
-
-def choose_device(name: str | None) -> torch.device:
-    """The device of this name; the GPU when there is one, by default.
-
-    Raises:
-        LabelgenError: no such device here.
-    """
-    try:
-        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as err:
-        raise LabelgenError(f"--device {name}: {' '.join(str(err).split())[:100]}; use cpu or cuda") from None
-    return device
 
 
 def fold_batch_norm(model: nn.Module) -> None:
@@ -101,7 +89,7 @@ class Detector:
         model: trained; folded and moved in place.
         card: of its checkpoint.
         device: where to run; None for the GPU when there is one.
-        half: half precision; None for where it gains, on GPUs.
+        half: half precision (float16 on GPUs, bfloat16 on CPUs); None for where it gains.
         compiled: compile the network; worth it for long videos on a GPU.
         fold: fold batch normalisation into convolutions.
     """
@@ -111,7 +99,7 @@ class Detector:
         compiled: bool = False, fold: bool = True,
     ) -> None:  # fmt: skip
         self.card, self.device = card, choose_device(device)
-        self._half = self.device.type == "cuda" if half is None else half
+        self.half = gains_from_half(self.device) if half is None else half
         model.eval()
         if fold:
             fold_batch_norm(model)
@@ -164,7 +152,7 @@ class Detector:
         with (
             torch.inference_mode(),
             torch.autocast(self.device.type, dtype=torch.float16 if self.device.type == "cuda" else torch.bfloat16,
-                           enabled=self._half),
+                           enabled=self.half),
         ):  # fmt: skip
             outputs = self.model(list(images))
         return [Found(*(out[key].double().cpu().numpy() for key in ("boxes", "cc", "scores"))) for out in outputs]

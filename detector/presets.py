@@ -39,6 +39,7 @@ class Preset:
         schedule: "plateau": times 0.2 after 3 epochs without progress; "cosine": warm-up, then down to 0.
         warmup_steps: of "cosine".
         patience: epochs without progress on the validation shards after which training stops; 0 for never.
+        half: train in mixed precision (bfloat16) where the device gains from it.
         whole, crops: augmentation of whole pictures and of BoxCars crops.
     """
 
@@ -58,6 +59,7 @@ class Preset:
     schedule: Literal["plateau", "cosine"] = "plateau"
     warmup_steps: int = 0
     patience: int = 0
+    half: bool = False
     whole: Ranges = PAPER_WHOLE
     crops: Ranges = PAPER_CROPS
 

@@ -28,6 +28,7 @@ from detector.data import (
     make_loader,
     open_sources,
 )
+from detector.device import gains_from_half
 from detector.model import build_model
 from detector.presets import Preset
 from labelgen.errors import LabelgenError, OutputError
@@ -65,7 +66,8 @@ class Trainer:
     """What Lightning needs to know of the machine.
 
     Args:
-        accelerator, devices, num_nodes, strategy, precision: as of Lightning's own Trainer.
+        accelerator, devices, num_nodes, strategy, precision: as of Lightning's own Trainer; no precision for the
+            preset's choice.
         workers: loader processes; 0 for none beside the training itself.
         checkpoint_every: steps between checkpoints within an epoch; 0 for the ends of epochs alone.
         progress: whether to show a bar.
@@ -75,7 +77,7 @@ class Trainer:
     devices: Any = "auto"
     num_nodes: int = 1
     strategy: str = "auto"
-    precision: Any = "32-true"
+    precision: Any = None
     workers: int = 0
     checkpoint_every: int = 500
     progress: bool = True
@@ -196,6 +198,13 @@ def _plain(value: Any) -> Any:
     return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
+def _precision(preset: Preset, machine: Trainer) -> Any:
+    """Lightning's name for the precision that suits the device."""
+    on_cpu = machine.accelerator == "cpu" or not torch.cuda.is_available()
+    device = torch.device("cpu" if on_cpu else "cuda")
+    return "bf16-mixed" if preset.half and gains_from_half(device) else "32-true"
+
+
 def _fit(
     model: Any, preset: Preset, card: Card, samples: TrainingSamples, judged: ValidationSamples | None, steps: int,
     out: Path, resume_from: Path | None, machine: Trainer,
@@ -211,7 +220,7 @@ def _fit(
     module = DetectorModule(model, preset, card, preset.epochs * steps, judged)
     trainer = pl.Trainer(
         accelerator=machine.accelerator, devices=machine.devices, num_nodes=machine.num_nodes,
-        strategy=machine.strategy, precision=machine.precision, max_epochs=preset.epochs,
+        strategy=machine.strategy, precision=machine.precision or _precision(preset, machine), max_epochs=preset.epochs,
         gradient_clip_val=preset.clip_norm, logger=loggers(out), use_distributed_sampler=False,
         callbacks=callbacks(out, preset, judged is not None, machine), num_sanity_val_steps=0,
         enable_progress_bar=machine.progress, enable_model_summary=False, log_every_n_steps=10,

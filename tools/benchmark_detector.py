@@ -4,7 +4,7 @@
 `stages`: a video end to end, decode, rectify, detect, track: frames per second, and where the time goes.
 
     python -m tools.benchmark_detector branch [--backbone resnet50] [--size 640x360] [--pairs 20]
-    python -m tools.benchmark_detector stages CHECKPOINT VIDEO_OR_SESSION [--frames 300] [--half] [--compile]
+    python -m tools.benchmark_detector stages CHECKPOINT VIDEO_OR_SESSION [--frames 300] [--half|--no-half] [--compile]
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ def benchmark_stages(
     result = {
         "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
         "size_wh": list(detector.card.size_wh),
-        "device": str(detector.device), "threads": torch.get_num_threads(), "fps": count / seconds,
+        "device": str(detector.device), "half": detector.half, "threads": torch.get_num_threads(),
+        "fps": count / seconds,
         "cpu_ms_per_frame": 1000 * busy / count,
         "decode_ms": 1000 * decode, "rectify_ms": 1000 * rectify, "detect_ms": 1000 * network,
         "track_ms": 1000 * tracking / count,
@@ -149,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     stages.add_argument("source", type=Path)
     stages.add_argument("--frames", type=int, default=300)
     stages.add_argument("--device")
-    stages.add_argument("--half", action="store_true", default=None)
+    stages.add_argument("--half", action=argparse.BooleanOptionalAction, default=None)
     stages.add_argument("--compile", action="store_true")
     given = parser.parse_args(arguments)
     if given.threads:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -40,9 +41,12 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from RUN_DIR's last checkpoint.")] = False,
     overwrite: OverwriteOption = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights, order and augmentation.")] = 0,
+    backbone: Annotated[
+        str | None, typer.Option("--backbone", metavar="NAME", help="torchvision network instead of the preset's.")
+    ] = None,
     precision: Annotated[
-        str, typer.Option("--precision", help="Lightning's: 32-true, bf16-mixed, 16-mixed.")
-    ] = "32-true",
+        str | None, typer.Option("--precision", help="Lightning's: 32-true, bf16-mixed, 16-mixed; the preset's choice.")
+    ] = None,
     device: Annotated[str, typer.Option("--device", help="Lightning's accelerator: auto, cpu, gpu.")] = "auto",
     devices: Annotated[str, typer.Option("--devices", help="How many of them, or auto.")] = "auto",
     nodes: Annotated[int, typer.Option("--nodes", min=1, help="Machines, each started by your launcher.")] = 1,
@@ -68,6 +72,8 @@ def train(
         preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,
         weights=weights if named else None,
     )  # fmt: skip
+    if backbone is not None:
+        chosen = replace(chosen, model=replace(chosen.model, backbone=backbone))
     machine = Trainer(
         device, int(devices) if devices.isdigit() else devices, nodes, strategy, precision, workers, checkpoint_every
     )

@@ -11,7 +11,8 @@ from clips import CAMERA, SIZE, road_mask
 from detector_shards import painted_sample
 
 from detector.checkpoint import Card
-from detector.infer import Detector, DeviceRectifier, choose_device, fold_batch_norm, model_view, to_tensor
+from detector.device import choose_device
+from detector.infer import Detector, DeviceRectifier, fold_batch_norm, model_view, to_tensor
 from detector.model import CcRetinaNet, ModelConfig, build_model
 from detector.sources import DetectorDetections
 from detector.variants import Variant

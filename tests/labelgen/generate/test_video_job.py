@@ -41,13 +41,21 @@ def _run(labelgen, out: Path, *arguments: object) -> dict:
 
 
 @pytest.mark.parametrize("pair", list(Pair))
-@pytest.mark.parametrize("rule", ["wider", "conditioned"])
-def test_labels_are_those_of_the_exact_boxes(labelgen, clip: Path, tmp_path: Path, pair: Pair, rule: str) -> None:
-    masks = f"coco:{clip.parent / 'masks.json'}"
-    report = _run(labelgen, tmp_path / "out", clip, "--masks", masks, "--every", 10, "--pair", pair, "--rule", rule)
+@pytest.mark.parametrize(("rule", "region"), [("wider", "road"), ("conditioned", "road"), ("wider", "frame")])
+def test_labels_are_those_of_the_exact_boxes(
+    labelgen, clip: Path, tmp_path: Path, pair: Pair, rule: str, region: str
+) -> None:
+    options = ["--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 10, "--pair", pair, "--rule", rule]
+    options += ["--whole-frame"] if region == "frame" else []
+    report = _run(labelgen, tmp_path / "out", clip, *options)
     assert (report["images"], report["labels"], report["rejects"]) == (6, 12, 0)
+    assert ShardSet([tmp_path / "out"]).readers[0].settings["region"] == region
     size = (640, 360) if pair is Pair.VP2_VP3 else (360, 640)
-    rectification = Rectification.from_road_mask(CAMERA, road_mask(), pair, size)
+    rectification = (
+        Rectification.from_road_mask(CAMERA, road_mask(), pair, size)
+        if region == "road"
+        else Rectification.from_window(CAMERA, [0, 0, *SIZE], pair, size)
+    )
     for sample in ShardSet([tmp_path / "out"]):
         exact = encode_boxes(rectification.points(vehicle_boxes(sample.frame)), rectification.vpu)
         order = np.argsort(exact.boxes_xyxy[:, 0])
