@@ -73,14 +73,15 @@ def _presets() -> dict[str, Preset]:
     flat = ModelConfig(cc_weight=0.0)
     found += [Preset("transform2d", None, None, flat), Preset("orig2d", None, None, flat)]
     small = ModelConfig(
-        backbone="mobilenet_v3_large", levels=(3, 4, 5), channels=64, head_convs=2, head_norm="group",
+        backbone="resnet18", levels=(3, 4, 5), channels=64, head_convs=2, head_norm="group",
         anchor_sizes=((16.0, 24.0), (32.0, 48.0), (64.0, 96.0)),
-        cc_weight=3.0, low_quality_matches=True,
+        cc_weight=3.0, beta=0.02, low_quality_matches=True,
     )  # fmt: skip
     found.append(
         Preset(
             "small", None, None, small, fit_anchors=(2, 3), weights="none", batch=8, epochs=12, steps_per_epoch=0,
             optimiser="adamw", lr=2e-3, weight_decay=0.01, clip_norm=5.0, schedule="cosine", warmup_steps=100,
+            half=True,
             whole=Ranges(translation=0.15, scale=(0.8, 1.5), aspect=1.2, flip=0.5, light=0.25),
             crops=Ranges(translation=0.4, scale=(0.08, 0.8), aspect=1.2, flip=0.5, light=0.25),
         )
