@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,13 +24,14 @@ from torchvision.models.resnet import BasicBlock, Bottleneck
 from detector.checkpoint import Card, load_detector
 from detector.device import choose_device, gains_from_half
 from detector.evaluate import Found
-from detector.model import CcRetinaNet
+from detector.height import scene_vector, shares_from_heights
+from detector.model import CcRetinaNet, ModelConfig
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
-from labelgen.labels import Labels
+from labelgen.labels import Labels, Sample
 
-__all__ = ["Detector", "DeviceRectifier", "fold_batch_norm", "model_view"]
+__all__ = ["Detector", "DeviceRectifier", "Picture", "fold_batch_norm", "model_view", "to_found"]
 
 _GPU_BATCH = 8
 _RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
@@ -82,6 +83,32 @@ def to_tensor(image: NDArray[np.uint8], device: torch.device) -> Tensor:
     return torch.from_numpy(rgb).to(device).float() / 255
 
 
+class Picture(NamedTuple):
+    """A network's input.
+
+    Args:
+        image: (3, H, W) float RGB in [0, 1] on the device, rectified.
+        scene: (2,) of `detector.height.scene_vector`.
+    """
+
+    image: Tensor
+    scene: Tensor
+
+
+def to_found(detections: dict[str, Tensor], scene: Tensor, config: ModelConfig) -> Found:
+    """A model's output for one picture as arrays.
+
+    Args:
+        detections: of the model.
+        scene: (2,) of `detector.height.scene_vector`.
+        config: of the model.
+    """
+    boxes, cc, scores = (detections[key].detach().double().cpu() for key in ("boxes", "cc", "scores"))
+    if config.cc_from_height:
+        cc = shares_from_heights(cc, boxes, scene.double().cpu()).clamp(0, 1)
+    return Found(boxes.numpy(), cc.numpy(), scores.numpy())
+
+
 class Detector:
     """A model set up for inference.
 
@@ -128,14 +155,16 @@ class Detector:
         """How many pictures to give at once: more than one gains on a GPU alone."""
         return 1 if self.device.type == "cpu" else _GPU_BATCH
 
-    def rectifier(self, rectification: Rectification) -> Callable[[NDArray[np.uint8]], Tensor]:
-        """Turns a frame into a rectified picture, on the device where that is a GPU: `detector.sources.Detector`."""
+    def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], Picture]:
+        """Rectifies frames, on the device where that is a GPU: `detector.sources.Detector`."""
+        scene = torch.from_numpy(scene_vector(rectification.vpu, camera))
         if self.device.type != "cpu":
-            return DeviceRectifier(rectification, self.device)
-        return lambda frame: self.tensor(rectification.warp_image(frame))
+            warp = DeviceRectifier(rectification, self.device)
+            return lambda frame: Picture(warp(frame), scene)
+        return lambda frame: Picture(to_tensor(rectification.warp_image(frame), self.device), scene)
 
-    def detect(self, pictures: Sequence[Tensor]) -> list[Labels]:
-        """The vehicles in rectified pictures (3, H, W): `detector.sources.Detector`."""
+    def detect(self, pictures: Sequence[Picture]) -> list[Labels]:
+        """The vehicles in rectified pictures: `detector.sources.Detector`."""
         found = []
         for output in self(pictures):
             # Boxes cut at the border may have no area left.
@@ -143,19 +172,21 @@ class Detector:
             found.append(Labels(solid.boxes_xyxy, solid.cc, scores=solid.scores.astype(np.float32)))
         return found
 
-    def tensor(self, image: NDArray[np.uint8]) -> Tensor:
-        """A rectified picture (H, W, 3) uint8 BGR as input."""
-        return to_tensor(image, self.device)
+    def picture(self, sample: Sample) -> Picture:
+        """The rectified picture of a shard's sample."""
+        scene = torch.from_numpy(scene_vector(sample.rectification.vpu, sample.camera))
+        return Picture(to_tensor(sample.image, self.device), scene)
 
-    def __call__(self, images: Sequence[Tensor]) -> list[Found]:
-        """Detections in rectified pictures, each (3, H, W) float RGB in [0, 1] on the device."""
+    def __call__(self, pictures: Sequence[Picture]) -> list[Found]:
+        """Detections in rectified pictures, as `picture` and `rectifier` make them."""
         with (
             torch.inference_mode(),
             torch.autocast(self.device.type, dtype=torch.float16 if self.device.type == "cuda" else torch.bfloat16,
                            enabled=self.half),
         ):  # fmt: skip
-            outputs = self.model(list(images))
-        return [Found(*(out[key].double().cpu().numpy() for key in ("boxes", "cc", "scores"))) for out in outputs]
+            outputs = self.model([picture.image for picture in pictures])
+        config = self.card.config
+        return [to_found(out, picture.scene, config) for out, picture in zip(outputs, pictures, strict=True)]
 
 
 def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> View:

@@ -13,20 +13,15 @@ from torch import Tensor
 from detector.checkpoint import CARD_KEY, Card
 from detector.data import Batch, ValidationSamples
 from detector.evaluate import Found, evaluate
+from detector.infer import to_found
 from detector.model import CcRetinaNet
 from detector.presets import Preset
 from labelgen.labels import Sample
 
-__all__ = ["VALIDATION_SCORE", "DetectorModule", "to_found"]
+__all__ = ["VALIDATION_SCORE", "DetectorModule"]
 
 VALIDATION_SCORE = "val/ap50"
 _PLATEAU_FACTOR, _PLATEAU_PATIENCE = 0.2, 3
-
-
-def to_found(detections: dict[str, Tensor]) -> Found:
-    """A model's output for one image as arrays."""
-    boxes, cc, scores = (detections[key].detach().double().cpu().numpy() for key in ("boxes", "cc", "scores"))
-    return Found(boxes, cc, scores)
 
 
 def as_input(batch: Batch) -> Tensor:
@@ -69,8 +64,9 @@ class DetectorModule(LightningModule):
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Detections of a batch."""
-        for index, detections in zip(batch.indices, self.model(list(as_input(batch))), strict=True):
-            self._found[index] = to_found(detections)
+        outputs = self.model(list(as_input(batch)))
+        for index, output, target in zip(batch.indices, outputs, batch.targets, strict=True):
+            self._found[index] = to_found(output, target["scene"], self._card.config)
 
     def validation_pairs(self) -> list[tuple[Sample, Found]]:
         """The validation samples seen last, with their detections."""

@@ -28,6 +28,7 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms, clip_boxes_to_image, sigmoid_focal_loss
 
 from detector.backbone import NORMS, build_backbone
+from detector.height import shares_from_heights
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
 
@@ -48,6 +49,8 @@ class ModelConfig:
         anchor_ratios: heights over widths of the anchors, the same on every level.
         cc_weight: weight of the c_c term; 0 for the 2D variants.
         beta: of the smooth L1 terms: errors below it count with their square.
+        cc_from_height: whether the c_c output is a vehicle's height, from which `detector.height` makes c_c; then the
+            model's detections carry that height as `cc`.
         low_quality_matches: whether a label without an anchor of IoU 0.5 gets its best one nevertheless, as
             torchvision does it; the paper does not say so.
     """
@@ -64,19 +67,19 @@ class ModelConfig:
     anchor_ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
     cc_weight: float = 1.0
     beta: float = 1 / 9
+    cc_from_height: bool = False
     low_quality_matches: bool = False
 
 
 class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
-    """torchvision's box head, with c_c read off the same tower by one more convolution."""
+    """torchvision's box head, with c_c read off the same tower by one more convolution that begins at a value."""
 
-    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any = None) -> None:
+    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any, first: float) -> None:
         super().__init__(in_channels, num_anchors, norm_layer=norm_layer)
         self.cc = nn.Conv2d(in_channels, num_anchors, kernel_size=3, padding=1)
         nn.init.normal_(self.cc.weight, std=0.01)
-        # c_c lies in [0, 1]: begin in the middle.
         assert self.cc.bias is not None
-        nn.init.constant_(self.cc.bias, 0.5)
+        nn.init.constant_(self.cc.bias, first)
 
     def forward(self, x: list[Tensor]) -> Any:
         """Per level features -> boxes (N, A, 4) and c_c (N, A), in torchvision's order of anchors."""
@@ -105,17 +108,20 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         convs: convolutions in each tower, 1 to 4.
         cc_weight: weight of the c_c term.
         beta: of the smooth L1 terms.
+        cc_from_height: see `ModelConfig`.
     """
 
     def __init__(
         self, in_channels: int, num_anchors: int, norm_layer: Any = None, *,
-        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9,
+        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9, cc_from_height: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(in_channels, num_anchors, num_classes=1, norm_layer=norm_layer)
-        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer)
+        # Begin in the middle: c_c lies in [0, 1], the logarithm of a car's height over 1.5 m around 0.
+        first = 0.0 if cc_from_height else 0.5
+        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer, first)
         for head in (self.classification_head, self.regression_head):
             head.conv = head.conv[:convs]
-        self.cc_weight, self.beta = cc_weight, beta
+        self.cc_weight, self.beta, self.cc_from_height = cc_weight, beta, cc_from_height
 
     def forward(self, x: list[Tensor]) -> dict[str, Tensor]:
         """Outputs of all anchors."""
@@ -126,7 +132,7 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         """The three terms, each divided by the batch's number of positive anchors.
 
         Args:
-            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool.
+            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool, `scene` (2,) for c_c from heights.
             head_outputs: of `forward`.
             anchors: per image (A, 4).
             matched_idxs: per image (A,) number of the label, -1 negative, -2 neither.
@@ -149,8 +155,19 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
 
         shares = torch.cat([t["cc"][index] for t, index in zip(targets, chosen, strict=True)])
         known = torch.cat([t["cc_known"][index] for t, index in zip(targets, chosen, strict=True)])
-        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=self.beta, reduction="sum")
+        found = head_outputs["cc"][positive]
+        if self.cc_from_height:
+            found = self._shares(found, head_outputs["bbox_regression"], positive, anchors, targets)
+        cc = F.smooth_l1_loss(found[known], shares[known], beta=self.beta, reduction="sum")
         return {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
+
+    def _shares(self, heights: Tensor, regression: Tensor, positive: Tensor, anchors: Any, targets: Any) -> Tensor:
+        """c_c of positive anchors (P,) from heights (P,), with the boxes that go with them, as when detecting."""
+        coder = self.regression_head.box_coder
+        rows = zip(regression.detach().float(), anchors, positive, strict=True)
+        boxes = torch.cat([coder.decode_single(raw[mask], a[mask]) for raw, a, mask in rows])
+        scenes = torch.stack([t["scene"] for t in targets]).repeat_interleave(positive.sum(dim=1), dim=0)
+        return shares_from_heights(heights, boxes, scenes)
 
 
 class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
@@ -179,7 +196,7 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         self.transform = _AsItIs()
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
-        """As torchvision's, with c_c, clamped to [0, 1], going the same way as its box."""
+        """As torchvision's, with c_c, clamped to [0, 1], or the height instead, going the same way as its box."""
         found = []
         for i, shape in enumerate(image_shapes):
             parts = [
@@ -204,7 +221,8 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         above = torch.where(scores > self.score_thresh)[0]
         best, order = scores[above].topk(min(self.topk_candidates, len(above)))
         index = above[order]
-        return self.box_coder.decode_single(boxes[index], anchors[index]), best, cc[index].clamp(0, 1)
+        found = cc[index] if self.head.cc_from_height else cc[index].clamp(0, 1)
+        return self.box_coder.decode_single(boxes[index], anchors[index]), best, found
 
 
 def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -> CcRetinaNet:
@@ -223,7 +241,7 @@ def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -
     anchors = AnchorGenerator(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
     head = CcHead(
         config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
-        cc_weight=config.cc_weight, beta=config.beta,
+        cc_weight=config.cc_weight, beta=config.beta, cc_from_height=config.cc_from_height,
     )  # fmt: skip
     matcher = Matcher(0.5, 0.4, allow_low_quality_matches=config.low_quality_matches)
     return CcRetinaNet(backbone, anchors, head, proposal_matcher=matcher, **options)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from detector.detections import Detections
 from detector.variants import View
 from labelgen.errors import LabelgenError
-from labelgen.geometry import Rectification
+from labelgen.geometry import Camera, Rectification
 from labelgen.labels import Labels
 from labelgen.sources.frames import Frame, FrameSource
 
@@ -51,8 +51,8 @@ class Detector(Protocol):
     @property
     def batch_size(self) -> int: ...
 
-    def rectifier(self, rectification: Rectification) -> Callable[[NDArray[np.uint8]], Any]:
-        """Turns a frame (H, W, 3) uint8 BGR into a rectified picture as `detect` takes it."""
+    def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], Any]:
+        """Turns a frame (H, W, 3) uint8 BGR of a camera into a rectified picture as `detect` takes it."""
         ...
 
     def detect(self, pictures: Sequence[Any]) -> list[Labels]:
@@ -77,7 +77,7 @@ class DetectorDetections:
             raise LabelgenError(f"--variant {view.variant}: it needs masks; a detector sees rectified pictures only")
         self.view, self.rejects, self.problems = view, Counter[str](), list[str]()
         self._detector, self._batch = detector, batch or detector.batch_size
-        self._rectify = detector.rectifier(view.rectification)
+        self._rectify = detector.rectifier(view.rectification, view.camera)
 
     def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
         """See `DetectionSource.stream`."""

@@ -91,7 +91,7 @@ def benchmark_stages(
     video = open_frames(scene.frames_path)
     view = model_view(detector.card, scene.camera(video.size_wh), scene.road())
     assert view.rectification is not None
-    model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification)
+    model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification, view.camera)
 
     begin = time.perf_counter()
     pictures = []
@@ -105,8 +105,8 @@ def benchmark_stages(
     inputs = [to_input(frame.image) for frame in pictures]
     rectify = (_sync(detector.device) - begin) / len(pictures)
     begin = _sync(detector.device)
-    for tensor in inputs:
-        detector([tensor])
+    for picture in inputs:
+        detector([picture])
     network = (_sync(detector.device) - begin) / len(pictures)
 
     tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0

@@ -24,8 +24,9 @@ import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
 from detector.data import TrainingSamples, collate, make_loader, open_sources, to_tensors
+from detector.height import scene_vector
 from detector.presets import find_preset
-from labelgen.labels import Labels
+from labelgen.labels import Labels, Sample
 from labelgen.shards import ShardSet
 
 _PER_TAR = 500
@@ -37,7 +38,7 @@ def write_plain(shards: ShardSet, folder: Path) -> None:
     for i in range(len(shards)):
         sample = shards[i]
         (folder / f"{i:06d}.jpg").write_bytes(sample.encoded)
-        (folder / f"{i:06d}.json").write_bytes(_to_json(sample.labels))
+        (folder / f"{i:06d}.json").write_bytes(_to_json(sample))
 
 
 def write_tars(shards: ShardSet, folder: Path) -> list[str]:
@@ -48,7 +49,7 @@ def write_tars(shards: ShardSet, folder: Path) -> list[str]:
         with tarfile.open(path, "w") as tar:
             for i in range(start, min(start + _PER_TAR, len(shards))):
                 sample = shards[i]
-                for suffix, data in (("jpg", sample.encoded), ("json", _to_json(sample.labels))):
+                for suffix, data in (("jpg", sample.encoded), ("json", _to_json(sample))):
                     info = tarfile.TarInfo(f"{i:06d}.{suffix}")
                     info.size = len(data)
                     tar.addfile(info, io.BytesIO(data))
@@ -56,8 +57,12 @@ def write_tars(shards: ShardSet, folder: Path) -> list[str]:
     return paths
 
 
-def _to_json(labels: Labels) -> bytes:
-    row = {"boxes": labels.boxes_xyxy.tolist(), "cc": labels.cc.tolist(), "flags": labels.flags.tolist()}
+def _to_json(sample: Sample) -> bytes:
+    labels = sample.labels
+    row = {
+        "boxes": labels.boxes_xyxy.tolist(), "cc": labels.cc.tolist(), "flags": labels.flags.tolist(),
+        "scene": scene_vector(sample.rectification.vpu, sample.camera).tolist(),
+    }  # fmt: skip
     return json.dumps(row).encode()
 
 
@@ -77,7 +82,8 @@ def _finish(samples: TrainingSamples, encoded: bytes, labels: bytes, number: int
     row = json.loads(labels)
     found = Labels(np.array(row["boxes"]).reshape(-1, 4), np.array(row["cc"]), flags=np.array(row["flags"]))
     image = np.asarray(cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
-    return (*to_tensors(*samples.augment(image, found, False, np.random.default_rng([0, 3, number]))), number)
+    rng = np.random.default_rng([0, 3, number])
+    return (*to_tensors(*samples.augment(image, found, np.array(row["scene"]), False, rng)), number)
 
 
 def _drain(batches: Iterator[Any], samples: int) -> float:

@@ -127,7 +127,7 @@ def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[
     yield json.dumps(head) + "\n", 0, None
     for index in range(min(len(samples), limit or len(samples))):
         sample = samples[index]
-        (found,) = detector([detector.tensor(sample.image)])
+        (found,) = detector([detector.picture(sample)])
         line = {
             "sample": index, "source": sample.source, "frame": sample.frame,
             "boxes": found.boxes_xyxy.round(3).tolist(),

@@ -55,7 +55,7 @@ def _run(detector: Detector, samples: ShardSet, batch: int) -> Iterator[tuple[Sa
     with tqdm(total=len(samples), unit="img") as bar:
         for start in range(0, len(samples), batch):
             part = [samples[i] for i in range(start, min(start + batch, len(samples)))]
-            yield from zip(part, detector([detector.tensor(sample.image) for sample in part]), strict=True)
+            yield from zip(part, detector([detector.picture(sample) for sample in part]), strict=True)
             bar.update(len(part))
 
 

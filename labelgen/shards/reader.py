@@ -165,6 +165,10 @@ class ShardReader:
             for vp1, vp2, pp, scale, size, name in rows
         ]
 
+    def camera(self, index: int) -> Camera:
+        """The calibration of one sample."""
+        return self.cameras[int(self.table("samples/camera")[index])]
+
     # -- samples ------------------------------------------------------------------------------------
 
     def labels(self, index: int) -> Labels:
@@ -193,7 +197,7 @@ class ShardReader:
 
     def rectification(self, index: int) -> Rectification:
         """Rectification of one sample, from the original frame."""
-        camera = self.cameras[int(self.table("samples/camera")[index])]
+        camera = self.camera(index)
         return Rectification(
             self.pair,
             self.size_wh,
@@ -210,7 +214,7 @@ class ShardReader:
             self.encoded(index),
             self.labels(index),
             self.rectification(index),
-            self.cameras[int(self.table("samples/camera")[index])],
+            self.camera(index),
             str(self.table("samples/source")[index]),
             int(self.table("samples/frame")[index]),
             float(self.table("samples/time")[index]),

@@ -88,17 +88,17 @@ def test_a_detector_is_a_source_of_detections() -> None:
 
 def test_a_detector_gives_labels() -> None:
     detector = Detector(model(), card(), device="cpu")
-    image = painted_sample(1).image
-    (labels,) = detector.detect([detector.tensor(image)])
-    (found,) = detector([detector.tensor(image)])
+    picture = detector.picture(painted_sample(1))
+    (labels,) = detector.detect([picture])
+    (found,) = detector([picture])
     assert detector.batch_size == 1
     assert 0 < len(labels) <= len(found)
     np.testing.assert_allclose(np.sort(labels.scores)[-3:], np.sort(found.scores)[-3:], rtol=1e-6)
 
 
 def test_half_precision_is_close() -> None:
-    image = to_tensor(painted_sample(1).image, torch.device("cpu"))
-    full, half = (Detector(model(), card(), device="cpu", half=h)([image])[0] for h in (False, True))
+    detectors = [Detector(model(), card(), device="cpu", half=half) for half in (False, True)]
+    full, half = (detector([detector.picture(painted_sample(1))])[0] for detector in detectors)
     assert abs(float(full.scores.max() - half.scores.max())) < 0.02
 
 

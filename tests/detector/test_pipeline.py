@@ -21,7 +21,7 @@ from detector.speed import SpeedMeter
 from detector.timed_frames import TimedFrames
 from detector.variants import Variant
 from labelgen.errors import DataError, LabelgenError
-from labelgen.geometry import Pair, Rectification, label_outlines, mask_outline
+from labelgen.geometry import Camera, Pair, Rectification, label_outlines, mask_outline
 from labelgen.labels import Labels
 from labelgen.sources.frames import open_frames
 
@@ -34,7 +34,7 @@ class ColourDetector:
     def __init__(self, vpu: NDArray[np.float64]) -> None:
         self.vpu, self.batches = vpu, list[int]()
 
-    def rectifier(self, rectification: Rectification) -> Callable[[NDArray[np.uint8]], Any]:
+    def rectifier(self, rectification: Rectification, _: Camera) -> Callable[[NDArray[np.uint8]], Any]:
         return rectification.warp_image
 
     def detect(self, images: Sequence[NDArray[np.uint8]]) -> list[Labels]:
