@@ -1,7 +1,8 @@
 """The detector for other runtimes, as ONNX.
 
 Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the card's size. Outputs `boxes` (N, 4) px,
-`scores` (N,), `cc` (N,), best first, non-maximum suppression done. The card lies in the file's metadata.
+`scores` (N,), `cc` (N,), best first, non-maximum suppression done; `height` (N,) from models that say it, to be merged
+with c_c as `detector.height` does. The card lies in the file's metadata.
 """
 
 from __future__ import annotations
@@ -59,8 +60,13 @@ class FixedSizeDetector(nn.Module):
         self.register_buffer("mean", torch.tensor(mean)[:, None, None])
         self.register_buffer("std", torch.tensor(std)[:, None, None])
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Picture (3, H, W) -> boxes (N, 4), scores (N,), c_c (N,)."""
+    @property
+    def output_names(self) -> list[str]:
+        """What `forward` returns."""
+        return ["boxes", "scores", "cc", *(["height"] if self.model.head.regression_head.values > 1 else [])]
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Picture (3, H, W) -> boxes (N, 4), scores (N,), c_c (N,), where there is one height (N,)."""
         model = self.model
         padded = nn.functional.pad((image - self.mean) / self.std, (0, self._padding[0], 0, self._padding[1]))
         outputs = model.head(list(model.backbone(padded[None]).values()))
@@ -73,13 +79,15 @@ class FixedSizeDetector(nn.Module):
             )
             index = index + start
             boxes = model.box_coder.decode_single(outputs["bbox_regression"][0][index], self.anchors[index])
-            parts.append((clip_boxes_to_image(boxes, self._size_hw), scores, outputs["cc"][0][index].clamp(0, 1)))
+            values = [outputs["cc"][0][index].clamp(0, 1)]
+            values += [outputs["height"][0][index]] if "height" in outputs else []
+            parts.append((clip_boxes_to_image(boxes, self._size_hw), scores, *values))
             start = stop
-        boxes, scores, cc = (torch.cat(part) for part in zip(*parts, strict=True))
+        boxes, scores, *rest = (torch.cat(part) for part in zip(*parts, strict=True))
         # A weak box suppresses only weaker ones, so the score threshold may come after.
         keep = nms(boxes, scores, model.nms_thresh)
         keep = keep[scores[keep] > model.score_thresh][: model.detections_per_img]
-        return boxes[keep], scores[keep], cc[keep]
+        return boxes[keep], scores[keep], *(value[keep] for value in rest)
 
 
 def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
@@ -111,7 +119,7 @@ def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         program = torch.onnx.export(
-            wrapped, (image,), dynamo=True, input_names=["image"], output_names=["boxes", "scores", "cc"], verbose=False
+            wrapped, (image,), dynamo=True, input_names=["image"], output_names=wrapped.output_names, verbose=False
         )
     assert program is not None
     proto: Any = program.model_proto
@@ -126,13 +134,14 @@ class Parity:
 
     Args:
         boxes: compared.
-        px, score, cc: greatest differences.
+        px, score, cc, height: greatest differences.
     """
 
     boxes: int
     px: float
     score: float
     cc: float
+    height: float
 
 
 def check_onnx(
@@ -154,7 +163,7 @@ def check_onnx(
         raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
     model, _ = load_detector(checkpoint, score_thresh=score)
     session = onnxruntime.InferenceSession(exported.read_bytes(), providers=["CPUExecutionProvider"])
-    count, worst = 0, [0.0, 0.0, 0.0]
+    count, worst = 0, [0.0, 0.0, 0.0, 0.0]
     for image in images:
         with torch.inference_mode():
             (wanted,) = model([torch.from_numpy(image)])
@@ -162,6 +171,6 @@ def check_onnx(
         if len(found[0]) != len(wanted["boxes"]):
             raise LabelgenError(f"{exported}: it finds {len(found[0])} boxes, the checkpoint {len(wanted['boxes'])}")
         count += len(found[0])
-        for k, key in enumerate(("boxes", "scores", "cc")):
-            worst[k] = max(worst[k], float(np.abs(found[k] - wanted[key].numpy()).max(initial=0.0)))
+        for k, (key, value) in enumerate(zip(("boxes", "scores", "cc", "height"), found, strict=False)):
+            worst[k] = max(worst[k], float(np.abs(value - wanted[key].numpy()).max(initial=0.0)))
     return Parity(count, *worst)

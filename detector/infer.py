@@ -24,7 +24,7 @@ from torchvision.models.resnet import BasicBlock, Bottleneck
 from detector.checkpoint import Card, load_detector
 from detector.device import choose_device, gains_from_half
 from detector.evaluate import Found
-from detector.height import scene_vector, shares_from_heights
+from detector.height import merge_cc, scene_vector
 from detector.model import CcRetinaNet, ModelConfig
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError
@@ -103,9 +103,10 @@ def to_found(detections: dict[str, Tensor], scene: Tensor, config: ModelConfig) 
         scene: (2,) of `detector.height.scene_vector`.
         config: of the model.
     """
-    boxes, cc, scores = (detections[key].detach().double().cpu() for key in ("boxes", "cc", "scores"))
-    if config.cc_from_height:
-        cc = shares_from_heights(cc, boxes, scene.double().cpu()).clamp(0, 1)
+    out = {key: value.detach().double().cpu() for key, value in detections.items()}
+    boxes, cc, scores = out["boxes"], out["cc"], out["scores"]
+    if "height" in out:
+        cc = merge_cc(cc, out["height"], boxes, scene.double().cpu(), config.height_weight)
     return Found(boxes.numpy(), cc.numpy(), scores.numpy())
 
 

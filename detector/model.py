@@ -1,10 +1,11 @@
 """torchvision's RetinaNet with a second regression output: c_c, one value per anchor.
 
-    L = (L_conf + L_loc + w L_c) / N
+    L = (L_conf + L_loc + w L_c + w L_h) / N
 
 over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors
-that are positive or negative, smooth L1 (published: beta 1/9) over the positive ones for the box and for c_c. A label
-whose c_c is not known (`cc_known` False) is left out of L_c alone.
+that are positive or negative, smooth L1 (published: beta 1/9) over the positive ones for the box and for c_c. L_h is
+the same for the vehicle's height, in models that say it; the published ones do not. A label whose c_c is not known
+(`cc_known` False) is left out of L_c and L_h.
 
 Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized.
 
@@ -28,7 +29,7 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms, clip_boxes_to_image, sigmoid_focal_loss
 
 from detector.backbone import NORMS, build_backbone
-from detector.height import shares_from_heights
+from detector.height import heights_from_cc
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
 
@@ -49,8 +50,8 @@ class ModelConfig:
         anchor_ratios: heights over widths of the anchors, the same on every level.
         cc_weight: weight of the c_c term; 0 for the 2D variants.
         beta: of the smooth L1 terms: errors below it count with their square.
-        cc_from_height: whether the c_c output is a vehicle's height, from which `detector.height` makes c_c; then the
-            model's detections carry that height as `cc`.
+        height_weight: of the c_c that follows from the vehicle's height, see `detector.height`; 0: the model has no
+            output for it.
         low_quality_matches: whether a label without an anchor of IoU 0.5 gets its best one nevertheless, as
             torchvision does it; the paper does not say so.
     """
@@ -67,37 +68,40 @@ class ModelConfig:
     anchor_ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
     cc_weight: float = 1.0
     beta: float = 1 / 9
-    cc_from_height: bool = False
+    height_weight: float = 0.0
     low_quality_matches: bool = False
 
 
 class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
-    """torchvision's box head, with c_c read off the same tower by one more convolution that begins at a value."""
+    """torchvision's box head, with c_c, and the vehicle's height, read off the same tower by one more convolution."""
 
-    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any, first: float) -> None:
+    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any, with_height: bool) -> None:
         super().__init__(in_channels, num_anchors, norm_layer=norm_layer)
-        self.cc = nn.Conv2d(in_channels, num_anchors, kernel_size=3, padding=1)
+        self.values = 2 if with_height else 1
+        self.cc = nn.Conv2d(in_channels, num_anchors * self.values, kernel_size=3, padding=1)
         nn.init.normal_(self.cc.weight, std=0.01)
+        # c_c lies in [0, 1], the logarithm of a car's height over 1.5 m around 0: begin in the middle.
         assert self.cc.bias is not None
-        nn.init.constant_(self.cc.bias, first)
+        with torch.no_grad():
+            self.cc.bias.view(num_anchors, self.values).copy_(torch.tensor([0.5, 0.0][: self.values]))
 
     def forward(self, x: list[Tensor]) -> Any:
-        """Per level features -> boxes (N, A, 4) and c_c (N, A), in torchvision's order of anchors."""
+        """Per level features -> boxes (N, A, 4) and values (N, A, 1 or 2), in torchvision's order of anchors."""
         # One convolution for both: c_c's few channels alone would cost as much as a block of sixteen.
         assert self.cc.bias is not None
         weight = torch.cat([self.bbox_reg.weight, self.cc.weight])
         bias = torch.cat([self.bbox_reg.bias, self.cc.bias])
         boxes: list[Tensor] = []
-        shares: list[Tensor] = []
+        values: list[Tensor] = []
         for features in x:
             raw = F.conv2d(self.conv(features), weight, bias, padding=1)
             n, _, h, w = raw.shape
             for out, part, width in (
                 (boxes, raw[:, : -self.cc.out_channels], 4),
-                (shares, raw[:, -self.cc.out_channels :], 1),
+                (values, raw[:, -self.cc.out_channels :], self.values),
             ):
                 out.append(part.reshape(n, -1, width, h, w).permute(0, 3, 4, 1, 2).reshape(n, -1, width))
-        return torch.cat(boxes, dim=1), torch.cat(shares, dim=1).squeeze(-1)
+        return torch.cat(boxes, dim=1), torch.cat(values, dim=1)
 
 
 class CcHead(RetinaNetHead):  # type: ignore[misc]
@@ -106,33 +110,32 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
     Args:
         in_channels, num_anchors, norm_layer: as torchvision's.
         convs: convolutions in each tower, 1 to 4.
-        cc_weight: weight of the c_c term.
+        cc_weight: weight of the terms of c_c and height.
         beta: of the smooth L1 terms.
-        cc_from_height: see `ModelConfig`.
+        with_height: whether there is an output for the height.
     """
 
     def __init__(
         self, in_channels: int, num_anchors: int, norm_layer: Any = None, *,
-        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9, cc_from_height: bool = False,
+        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9, with_height: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(in_channels, num_anchors, num_classes=1, norm_layer=norm_layer)
-        # Begin in the middle: c_c lies in [0, 1], the logarithm of a car's height over 1.5 m around 0.
-        first = 0.0 if cc_from_height else 0.5
-        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer, first)
+        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer, with_height)
         for head in (self.classification_head, self.regression_head):
             head.conv = head.conv[:convs]
-        self.cc_weight, self.beta, self.cc_from_height = cc_weight, beta, cc_from_height
+        self.cc_weight, self.beta = cc_weight, beta
 
     def forward(self, x: list[Tensor]) -> dict[str, Tensor]:
-        """Outputs of all anchors."""
-        boxes, cc = self.regression_head(x)
-        return {"cls_logits": self.classification_head(x), "bbox_regression": boxes, "cc": cc}
+        """Outputs of all anchors; `height` (N, A) only where there is such an output."""
+        boxes, values = self.regression_head(x)
+        named = dict(zip(("cc", "height"), values.unbind(-1), strict=False))
+        return {"cls_logits": self.classification_head(x), "bbox_regression": boxes, **named}
 
     def compute_loss(self, targets: Any, head_outputs: Any, anchors: Any, matched_idxs: Any) -> dict[str, Tensor]:
-        """The three terms, each divided by the batch's number of positive anchors.
+        """The terms, each divided by the batch's number of positive anchors.
 
         Args:
-            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool, `scene` (2,) for c_c from heights.
+            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool; for heights `scene` (2,) as well.
             head_outputs: of `forward`.
             anchors: per image (A, 4).
             matched_idxs: per image (A,) number of the label, -1 negative, -2 neither.
@@ -155,19 +158,23 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
 
         shares = torch.cat([t["cc"][index] for t, index in zip(targets, chosen, strict=True)])
         known = torch.cat([t["cc_known"][index] for t, index in zip(targets, chosen, strict=True)])
-        found = head_outputs["cc"][positive]
-        if self.cc_from_height:
-            found = self._shares(found, head_outputs["bbox_regression"], positive, anchors, targets)
-        cc = F.smooth_l1_loss(found[known], shares[known], beta=self.beta, reduction="sum")
-        return {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
+        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=self.beta, reduction="sum")
+        terms = {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
+        if "height" in head_outputs:
+            heights = torch.cat([_heights(t)[index] for t, index in zip(targets, chosen, strict=True)])
+            known = known & heights.isfinite()
+            found = head_outputs["height"][positive][known]
+            terms["height"] = (
+                self.cc_weight * F.smooth_l1_loss(found, heights[known], beta=self.beta, reduction="sum") / count
+            )
+        return terms
 
-    def _shares(self, heights: Tensor, regression: Tensor, positive: Tensor, anchors: Any, targets: Any) -> Tensor:
-        """c_c of positive anchors (P,) from heights (P,), with the boxes that go with them, as when detecting."""
-        coder = self.regression_head.box_coder
-        rows = zip(regression.detach().float(), anchors, positive, strict=True)
-        boxes = torch.cat([coder.decode_single(raw[mask], a[mask]) for raw, a, mask in rows])
-        scenes = torch.stack([t["scene"] for t in targets]).repeat_interleave(positive.sum(dim=1), dim=0)
-        return shares_from_heights(heights, boxes, scenes)
+
+def _heights(target: dict[str, Tensor]) -> Tensor:
+    """(L,) what the model should say of the labels' heights; NaN for a camera of unknown height."""
+    if target["scene"][1] == 0:
+        return torch.full_like(target["cc"], torch.nan)
+    return heights_from_cc(target["cc"], target["boxes"], target["scene"])
 
 
 class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
@@ -184,6 +191,8 @@ class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
 class CcRetinaNet(RetinaNet):  # type: ignore[misc]
     """RetinaNet of one class with c_c. In training a dict of losses, else per image `boxes`, `scores`, `labels`, `cc`.
 
+    Models with an output for the height give `height` as well; `detector.height` merges the two.
+
     Args:
         backbone: trunk with pyramid, see `detector.backbone.build_backbone`.
         anchor_generator: torchvision's.
@@ -196,33 +205,37 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         self.transform = _AsItIs()
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
-        """As torchvision's, with c_c, clamped to [0, 1], or the height instead, going the same way as its box."""
+        """As torchvision's, with c_c, clamped to [0, 1], and the height going the same way as their box."""
+        names = [name for name in ("cc", "height") if name in head_outputs]
         found = []
         for i, shape in enumerate(image_shapes):
             parts = [
                 self._candidates(
                     head_outputs["cls_logits"][level][i],
                     head_outputs["bbox_regression"][level][i],
-                    head_outputs["cc"][level][i],
+                    torch.stack([head_outputs[name][level][i] for name in names], dim=1),
                     a,
                 )
                 for level, a in enumerate(anchors[i])
             ]
-            boxes, scores, cc = (torch.cat(part) for part in zip(*parts, strict=True))
+            boxes, scores, values = (torch.cat(part) for part in zip(*parts, strict=True))
             boxes = clip_boxes_to_image(boxes, shape)
             labels = torch.zeros(len(boxes), dtype=torch.int64, device=boxes.device)
             keep = batched_nms(boxes, scores, labels, self.nms_thresh)[: self.detections_per_img]
-            found.append({"boxes": boxes[keep], "scores": scores[keep], "labels": labels[keep], "cc": cc[keep]})
+            kept = dict(zip(names, values[keep].unbind(1), strict=True))
+            kept["cc"] = kept["cc"].clamp(0, 1)
+            found.append({"boxes": boxes[keep], "scores": scores[keep], "labels": labels[keep], **kept})
         return found
 
-    def _candidates(self, logits: Tensor, boxes: Tensor, cc: Tensor, anchors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The best anchors of one level above the score threshold: boxes (K, 4), scores (K,), c_c (K,)."""
+    def _candidates(
+        self, logits: Tensor, boxes: Tensor, values: Tensor, anchors: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The best anchors of one level above the score threshold: boxes (K, 4), scores (K,), values (K, V)."""
         scores = torch.sigmoid(logits).flatten()
         above = torch.where(scores > self.score_thresh)[0]
         best, order = scores[above].topk(min(self.topk_candidates, len(above)))
         index = above[order]
-        found = cc[index] if self.head.cc_from_height else cc[index].clamp(0, 1)
-        return self.box_coder.decode_single(boxes[index], anchors[index]), best, found
+        return self.box_coder.decode_single(boxes[index], anchors[index]), best, values[index]
 
 
 def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -> CcRetinaNet:
@@ -241,7 +254,7 @@ def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -
     anchors = AnchorGenerator(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
     head = CcHead(
         config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
-        cc_weight=config.cc_weight, beta=config.beta, cc_from_height=config.cc_from_height,
+        cc_weight=config.cc_weight, beta=config.beta, with_height=config.height_weight > 0,
     )  # fmt: skip
     matcher = Matcher(0.5, 0.4, allow_low_quality_matches=config.low_quality_matches)
     return CcRetinaNet(backbone, anchors, head, proposal_matcher=matcher, **options)
