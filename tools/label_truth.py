@@ -1,6 +1,6 @@
 """How near labels from exact masks come to exact 3D boxes: rendered vehicles of every body type.
 
-    python -m tools.label_truth --out docs/synthetic-labels.md --pictures docs/pictures [--real DIR] [--count 24]
+    python -m tools.label_truth --out docs/synthetic-labels.md --pictures docs/pictures [--real DIR] [--count 4]
 
 Every vehicle stands alone and wholly inside the picture, so that what is measured is the method's own error: real
 vehicles are not boxes. DIR holds brnocompspeed/dataset and brnocompspeed/results; only numbers leave it, pictures
@@ -44,6 +44,8 @@ __all__ = ["HEIGHTS", "PAIRS", "Case", "main", "measure_scene", "page"]
 
 HEIGHTS = (20, 40, 80)
 """Heights of the exact 2D box, rectified px; each stands for what is nearest to it on a logarithmic scale."""
+_TRIED = 600
+_FARTHEST_M = 160.0
 PAIRS = {Pair.VP2_VP3: (640, 360), Pair.VP1_VP2: (360, 640)}
 
 
@@ -89,25 +91,24 @@ def _rectifications(scene: Scene) -> dict[Pair, Rectification]:
     return {pair: Rectification.from_road_mask(scene.camera, mask, pair, size) for pair, size in PAIRS.items()}
 
 
-def _spots(scene: Scene, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """(count, 2) metres on the road, spread evenly over the logarithm of the distance."""
+def _spots(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(N, 2) metres on the road, spread evenly over the logarithm of the distance."""
     rows, columns = np.nonzero(scene.road_mask)
     pick = rng.integers(0, len(rows), 4000)
     ground = scene.camera.road_points(np.stack([columns[pick], rows[pick]], axis=1) + 0.5, invalid="nan")
-    ground = ground[np.isfinite(ground).all(axis=1) & (ground[:, 0] < 120)]
-    weight = 1 / np.hypot(ground[:, 0], ground[:, 1])
+    ground = ground[np.isfinite(ground).all(axis=1) & (ground[:, 0] < _FARTHEST_M)]
     # Pixels crowd near the camera as the inverse cube of the distance.
-    weight = np.hypot(ground[:, 0], ground[:, 1]) ** 2 * weight
-    return np.asarray(ground[rng.choice(len(ground), count, p=weight / weight.sum())])
+    weight = np.hypot(ground[:, 0], ground[:, 1])
+    return np.asarray(ground[rng.choice(len(ground), _TRIED, p=weight / weight.sum())])
 
 
 def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[str] | None = None) -> list[Case]:
-    """Cases of one scene: `count` places per body type, each in both rectifications where it fits.
+    """Cases of one scene: `count` places per body type, rectification and box height, where there are so many.
 
     Args:
         scene: its picture is not needed.
         number: of the scene, to find it again.
-        count: vehicles per body type.
+        count: vehicles per body type, rectification and box height.
         seed: what they look like and where they stand.
         kinds: body types; all when None, and "box".
     """
@@ -119,9 +120,23 @@ def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[
     cases: list[Case] = []
     for place, kind in enumerate(kinds or [*BODY_TYPES, "box"]):
         rng = np.random.default_rng([seed, number, place])
-        for near in _spots(scene, rng, count):
+        still = {(pair, height): count for pair in PAIRS for height in HEIGHTS}
+        for near in _spots(scene, rng):
             looks, heading = int(rng.integers(1 << 30)), int(rng.choice([-1, 1]))
-            cases += _cases(scene, number, renderer, rects, kind, looks, heading, near)
+            placed = _placed(kind, looks, heading, near)
+            drawn = None
+            for pair, rect in rects.items():
+                exact = _exact(scene, rect, placed, near)
+                height = None if exact is None else _nearest(float(exact[0][3] - exact[0][1]))
+                if exact is None or height is None or not still[pair, height]:
+                    continue
+                drawn = drawn or renderer.truth([placed])
+                case = _case(rect, drawn[0], exact, number, pair, kind, looks, heading, near)
+                if case is not None:
+                    still[pair, height] -= 1
+                    cases.append(case)
+            if not any(still.values()):
+                break
     return cases
 
 
@@ -130,48 +145,53 @@ def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> Placed:
     return Placed(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
 
 
-def _cases(
-    scene: Scene, number: int, renderer: Renderer, rects: dict[Pair, Rectification], kind: str, looks: int,
-    heading: int, near: NDArray[Any],
-) -> list[Case]:  # fmt: skip
-    placed = _placed(kind, looks, heading, near)
+def _exact(
+    scene: Scene, rect: Rectification, placed: Placed, near: NDArray[Any]
+) -> tuple[NDArray[np.float64], float] | None:
+    """2D box (4,) and c_c of the exact 3D box; None where it does not lie wholly inside both pictures."""
     vertices = scene.camera.project(road_cuboids(near[None], placed.vehicle.size_lwh[None]))
-    size = np.array(scene.camera.image_wh)
-    if not (np.isfinite(vertices).all() and (vertices > 1).all() and (vertices < size - 1).all()):
-        return []
-    cases = []
-    drawn = None
-    for pair, rect in rects.items():
-        inside = rect.points(vertices)
-        if not (np.isfinite(inside).all() and (inside > 0).all() and (inside < rect.size_wh).all()):
-            continue
-        exact = encode_boxes(inside, rect.vpu)
-        if not decode_boxes(exact.boxes_xyxy, exact.cc, rect.vpu)[1][0]:
-            continue
-        drawn = drawn or renderer.truth([placed])
-        outline: Outline | None = rectified_outline(rect, drawn[0].mask, drawn[0].origin_px)
-        if outline is None:
-            continue
-        found = {rule: label_outlines([outline], rect.vpu, rule) for rule in Rule}
-        if not all(label.valid[0] for label in found.values()):
-            continue
-        box = found[Rule.WIDER].boxes_xyxy[0]
-        cases.append(
-            Case(
-                number, pair, kind, looks, heading, near, float(exact.boxes_xyxy[0, 3] - exact.boxes_xyxy[0, 1]),
-                _iou(box, exact.boxes_xyxy[0]), box, float(exact.cc[0]),
-                {rule: float(label.cc[0]) for rule, label in found.items()},
-            )
-        )  # fmt: skip
-    return cases
+    if not (
+        np.isfinite(vertices).all() and (vertices > 1).all() and (vertices < np.array(scene.camera.image_wh) - 1).all()
+    ):
+        return None
+    inside = rect.points(vertices)
+    if not (np.isfinite(inside).all() and (inside > 0).all() and (inside < rect.size_wh).all()):
+        return None
+    exact = encode_boxes(inside, rect.vpu)
+    if not decode_boxes(exact.boxes_xyxy, exact.cc, rect.vpu)[1][0]:
+        return None
+    return exact.boxes_xyxy[0], float(exact.cc[0])
+
+
+def _case(
+    rect: Rectification, drawn: Any, exact: tuple[NDArray[np.float64], float], number: int, pair: Pair, kind: str,
+    looks: int, heading: int, near: NDArray[Any],
+) -> Case | None:  # fmt: skip
+    """The label of a drawn vehicle beside its exact one; None where it gets none."""
+    outline: Outline | None = rectified_outline(rect, drawn.mask, drawn.origin_px)
+    if outline is None:
+        return None
+    found = {rule: label_outlines([outline], rect.vpu, rule) for rule in Rule}
+    if not all(label.valid[0] for label in found.values()):
+        return None
+    box, (wanted, cc) = found[Rule.WIDER].boxes_xyxy[0], exact
+    return Case(
+        number, pair, kind, looks, heading, near, float(wanted[3] - wanted[1]), _iou(box, wanted), box, cc,
+        {rule: float(label.cc[0]) for rule, label in found.items()},
+    )  # fmt: skip
 
 
 # -- the page ---------------------------------------------------------------------------------------------
 
 
+def _nearest(height_px: float) -> int | None:
+    """The one of `HEIGHTS` that a box of this height stands for, if any."""
+    nearest = min(HEIGHTS, key=lambda h: abs(np.log(height_px / h)))
+    return nearest if abs(np.log(height_px / nearest)) <= np.log(2) / 2 else None
+
+
 def _bin(case: Case) -> int | None:
-    nearest = min(HEIGHTS, key=lambda h: abs(np.log(case.height_px / h)))
-    return nearest if abs(np.log(case.height_px / nearest)) <= np.log(2) / 2 else None
+    return _nearest(case.height_px)
 
 
 def _row(cases: list[Case]) -> str:
@@ -261,7 +281,7 @@ def main(
     out: Annotated[Path, typer.Option("--out", help="The page, Markdown.")] = Path("synthetic-labels.md"),
     pictures: Annotated[Path | None, typer.Option("--pictures", help="Folder for pictures of the worst.")] = None,
     real: Annotated[Path | None, typer.Option("--real", help="Real data, for more camera geometries.")] = None,
-    count: Annotated[int, typer.Option(min=1, help="Vehicles per body type and scene.")] = 24,
+    count: Annotated[int, typer.Option(min=1, help="Vehicles per scene, body type, pair and height.")] = 4,
     scenes: Annotated[int, typer.Option(min=1, help="Made-up scenes.")] = 12,
 ) -> None:
     """Measure labels from exact masks against exact 3D boxes."""
