@@ -93,8 +93,8 @@ class Target:
 
     @classmethod
     def of(cls, labels: Labels) -> Target:
-        """Labels as they are; the c_c of truncated ones, whose box is only a part, is not taken as known."""
-        known = ~labels.has(Flag.TRUNCATED)
+        """Labels as they are; c_c is not known where there is none, nor of truncated ones, whose box is only a part."""
+        known = ~labels.has(Flag.TRUNCATED) & ~labels.has(Flag.FLAT)
         return cls(labels.boxes_xyxy, np.where(known, labels.cc, 0.0), known)
 
 

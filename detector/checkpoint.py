@@ -49,9 +49,9 @@ class Card:
 
     @property
     def region(self) -> Region:
-        """What the pictures it was trained on show, crops apart: the road, or the whole frame."""
+        """What is rectified in the pictures it was trained on, crops apart."""
         regions = {s["region"] for labels in self.labels for s in labels["settings"] if "region" in s}
-        return Region.FRAME if regions == {Region.FRAME} else Region.ROAD
+        return Region(regions.pop()) if len(regions) == 1 else Region.ROAD
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values."""

@@ -97,7 +97,7 @@ class DetectionFile:
             rectification = _rectification(head["rectification"], frame_wh)
         except (KeyError, IndexError, TypeError, ValueError, AttributeError, LabelgenError) as err:
             raise DataError(f"detections {path}: its first line is damaged ({err})") from None
-        if variant.in_frame != (rectification is None):
+        if rectification is None and not variant.in_frame:
             raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
         return cls(path, variant, frame_wh, fps, rectification)
 

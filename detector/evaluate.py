@@ -134,7 +134,7 @@ def evaluate(
     """Judge detections against labels.
 
     Average precision counts all detections; the other figures those of at least `score` that find a label (IoU 0.5).
-    Errors of c_c and of the ground point are taken over labels that are not truncated.
+    Errors of c_c and of the ground point are taken over labels that are not truncated and lie in rectified pictures.
 
     Args:
         pairs: samples with their detections.
@@ -156,9 +156,11 @@ def evaluate(
         strong = found[found.scores >= score]
         which = match_boxes(labels.boxes_xyxy, strong.boxes_xyxy, strong.scores)
         counts += np.array([len(labels), len(strong), np.count_nonzero(which >= 0)])
-        valid.append(decode_boxes(strong.boxes_xyxy, strong.cc, sample.rectification.vpu)[1])
+        flat = labels.has(Flag.FLAT)
+        if not flat.any():
+            valid.append(decode_boxes(strong.boxes_xyxy, strong.cc, sample.rectification.vpu)[1])
         right = which >= 0
-        right[right] = ~cut[which[right]]
+        right[right] = ~(cut | flat)[which[right]]
         matched, strong = labels[which[right]], strong[right]
         cc.append(np.abs(matched.cc - strong.cc))
         a, b, _ = _ground_errors(sample, matched, strong)
@@ -178,7 +180,7 @@ def evaluate(
         "detections": int(counts[1]),
         "recall": _ratio(counts[2], counts[0]),
         "precision": _ratio(counts[2], counts[1]),
-        "invalid_share": _ratio(sum(int(np.count_nonzero(~v)) for v in valid), counts[1]),
+        "invalid_share": _ratio(sum(int(np.count_nonzero(~v)) for v in valid), sum(map(len, valid))),
         "cc_error": _spread(cc),
         "ground_px": _spread(px),
         "ground_m": _spread(metres),

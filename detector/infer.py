@@ -198,7 +198,7 @@ def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | No
         camera: with a scale.
         road: the road mask.
         variant: how the measured point is found; by default with c_c where the model has it, on the part of the
-            frame that it has seen in training.
+            frame that it has seen in training, or in the frame itself.
 
     Raises:
         LabelgenError: the variant needs pictures of another kind, or c_c from a model that has none.
@@ -208,14 +208,15 @@ def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | No
     solid, flat = {
         Region.ROAD: (Variant.TRANSFORM3D, Variant.TRANSFORM2D),
         Region.FRAME: (Variant.PREVIOUS3D, Variant.PREVIOUS2D),
+        Region.NONE: (Variant.ORIG2D, Variant.ORIG2D),
     }[region]
     chosen = variant or (solid if card.config.cc_weight else flat)
-    if chosen.in_frame:
-        raise LabelgenError(f"--variant {chosen}: this detector works on rectified pictures; use {solid}")
-    if chosen.region is not region:
-        raise LabelgenError(
-            f"--variant {chosen}: this detector was trained on rectifications of the {region}; use {solid} or {flat}"
-        )
+    if chosen not in (solid, flat):
+        kind = "frames as they are" if region is Region.NONE else f"rectifications of the {region}"
+        known = " or ".join(dict.fromkeys((solid, flat)))
+        raise LabelgenError(f"--variant {chosen}: this detector was trained on {kind}; use {known}")
+    if region is Region.NONE:
+        return View(chosen, camera, Rectification.of_region(region, camera, road, card.pair, card.size_wh))
     if chosen.is_3d and not card.config.cc_weight:
         raise LabelgenError(f"--variant {chosen}: this detector was trained without c_c; use {flat}")
     return View.create(chosen, camera, road, card.pair, card.size_wh)

@@ -33,6 +33,7 @@ from detector.model import build_model
 from detector.presets import Preset
 from labelgen.errors import LabelgenError, OutputError
 from labelgen.files import make_folder
+from labelgen.geometry import Region
 from labelgen.geometry.projective import Array
 
 __all__ = ["INSTALL_HINT", "TrainSummary", "Trainer", "train"]
@@ -153,7 +154,12 @@ def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[Ca
         "optimiser": preset.optimiser, "lr": preset.lr, "clip_norm": preset.clip_norm, "schedule": preset.schedule,
         "whole": asdict(preset.whole), "crops": asdict(preset.crops),
     }  # fmt: skip
-    return Card(preset.name, pair, size_wh, config, max(heights), label_provenance(sources), training), steps
+    card = Card(preset.name, pair, size_wh, config, max(heights), label_provenance(sources), training)
+    if card.region is Region.NONE and config.cc_weight:
+        raise LabelgenError(
+            f"{readers[0].path}: its pictures are not rectified, so there is no c_c; use --preset orig2d"
+        )
+    return card, steps
 
 
 def _boxes(source: ShardSource, preset: Preset, size_wh: tuple[int, int]) -> Array:

@@ -59,7 +59,9 @@ class Variant(StrEnum):
 
     @property
     def region(self) -> Region:
-        """The part of the frame that is rectified."""
+        """What is rectified."""
+        if self.in_frame:
+            return Region.NONE
         return Region.FRAME if self in (Variant.PREVIOUS3D, Variant.PREVIOUS2D) else Region.ROAD
 
     @property

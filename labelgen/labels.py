@@ -57,6 +57,8 @@ class Flag(IntFlag):
     """The mask's two candidates for c_c differ by more than 0.1: its outline is not that of a clean box."""
     TOUCHING = 32
     """The mask touches another one: one of the two vehicles is likely to be partly hidden."""
+    FLAT = 64
+    """The picture is not rectified: there is a 2D box alone, c_c is 0 and means nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +146,7 @@ class Labels:
     def vertices(self, vpu: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """The 3D boxes (N, 8, 2) in rectified px, in the source's vertex order, and which are valid (N,)."""
         vertices, valid = decode_boxes(self.boxes_xyxy, self.cc, vpu)
+        valid &= ~self.has(Flag.FLAT)
         return reorder_vertices(vertices, self.has(Flag.MIRRORED), self.has(Flag.REVERSED)), valid
 
 

@@ -48,9 +48,12 @@ def bcs_masks(
     ] = None,
     pair: PairOption = "VP2-VP3",
     size: SceneSizeOption = None,
-    whole_frame: Annotated[
-        bool, typer.Option("--whole-frame", help="Rectify the whole frame, not the road: for Previous2D and 3D.")
-    ] = False,
+    region: Annotated[
+        str,
+        typer.Option(
+            "--region", metavar="NAME", help="What is rectified: road; frame (Previous2D, Previous3D); none (Orig2D)."
+        ),
+    ] = "road",
     limit: Annotated[
         int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N taken frames of each video.")
     ] = None,
@@ -100,7 +103,7 @@ def bcs_masks(
         chosen_pair,
         size_wh,
         settings,
-        region=Region.FRAME if whole_frame else Region.ROAD,
+        region=Region.parse(region),
         every=every or manifest["labels"]["every"],
         limit=limit,
         per_shard=per_shard,

@@ -18,7 +18,7 @@ from labelgen.geometry.rectification import Rectification
 from labelgen.labels import Flag, Labels
 from labelgen.masks import InstanceMasks
 
-__all__ = ["LABEL_LIMITS", "LabelLimits", "MaskReject", "label_masks"]
+__all__ = ["LABEL_LIMITS", "LabelLimits", "MaskReject", "flat_labels", "label_masks"]
 
 _DISAGREE = 0.1
 _BORDER_PX = 1.0
@@ -75,7 +75,7 @@ def label_masks(
         if outline is None:
             rejects.append((i, "outside the rectified image", ""))
         elif (height := outline.box_xyxy[3] - outline.box_xyxy[1]) < limits.min_height_px:
-            rejects.append((i, "too small", f"{height:.1f} px high, at least {limits.min_height_px:g} wanted"))
+            rejects.append((i, *_too_small(height, limits)))
         else:
             outlines.append(outline)
             numbers.append(i)
@@ -116,6 +116,41 @@ def label_masks(
         found.candidates[keep],
     )
     return labels, sorted(rejects)
+
+
+def flat_labels(
+    masks: InstanceMasks,
+    rectification: Rectification,
+    road: NDArray[np.bool_],
+    limits: LabelLimits = LABEL_LIMITS,
+) -> tuple[Labels, list[MaskReject]]:
+    """Label the vehicles of one frame that is resized but not rectified: 2D boxes with `Flag.FLAT`.
+
+    Args, returns: as of `label_masks`.
+    """
+    rejects: list[MaskReject] = []
+    boxes, kept = [], []
+    for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
+        low = np.asarray(origin, dtype=np.float64)
+        box = rectification.boxes([[*low, *(low + crop.shape[::-1])]])[0]
+        foot = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
+        if (height := box[3] - box[1]) < limits.min_height_px:
+            rejects.append((i, *_too_small(height, limits)))
+        elif not _on_road(masks, np.array([i]), road, foot, limits.min_on_road)[0]:
+            rejects.append((i, "off the road", ""))
+        else:
+            boxes.append(box)
+            kept.append(i)
+    if not kept:
+        return Labels.empty(), rejects
+    index = np.array(kept)
+    flags = Flag.FLAT + Flag.TRUNCATED * _at_frame_border(masks, index) + Flag.TOUCHING * _touching(masks)[index]
+    zeros = np.zeros(len(kept))
+    return Labels(np.array(boxes), zeros, masks.class_ids[index], masks.scores[index], flags.astype(np.uint16)), rejects
+
+
+def _too_small(height: float, limits: LabelLimits) -> tuple[str, str]:
+    return "too small", f"{height:.1f} px high, at least {limits.min_height_px:g} wanted"
 
 
 def _truncated(boxes: Array, size_wh: tuple[int, int]) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from labelgen.errors import LabelgenError
 from labelgen.generate.encoding import ImageCodec
-from labelgen.generate.mask_labels import LABEL_LIMITS, LabelLimits, label_masks
+from labelgen.generate.mask_labels import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.generate.runner import Job, Progress, finished_part
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
@@ -92,7 +92,7 @@ def video_job(
         scenes: the inputs.
         pair, size_wh: the rectification.
         settings: where masks come from.
-        region: what is rectified, the road or the whole frame.
+        region: what is rectified.
         every: take every so many-th frame.
         limit: stop after so many taken frames of each video.
         per_shard: taken frames in a shard, with or without vehicles.
@@ -270,7 +270,10 @@ class VideoUnit:
         writer: ShardWriter,
     ) -> None:
         name = self.scene.name
-        labels, rejects = label_masks(masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits)
+        if self.region is Region.NONE:
+            labels, rejects = flat_labels(masks, rectification, road.pixels, self.masks.limits)
+        else:
+            labels, rejects = label_masks(masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits)
         for item, reason, detail in rejects:
             writer.reject(Reject(name, frame.number, item, reason, detail))
         if not len(labels):

@@ -36,10 +36,19 @@ MIN_COVERAGE = 0.8
 
 
 class Region(StrEnum):
-    """What a rectification is fitted to."""
+    """What a rectification is fitted to: the road, the whole frame (the earlier method), or nothing (Orig2D)."""
 
     ROAD = "road"
     FRAME = "frame"
+    NONE = "none"
+
+    @classmethod
+    def parse(cls, text: str) -> Region:
+        """Region from its name, in any case; LabelgenError names the known ones."""
+        for region in cls:
+            if region.value == text.strip().lower():
+                return region
+        raise LabelgenError(f"--region {text}: unknown region; use one of {', '.join(r.value for r in cls)}")
 
 
 class Pair(StrEnum):
@@ -203,14 +212,19 @@ class Rectification:
     def of_region(
         cls, region: Region, camera: Camera, road: RoadMask, pair: Pair, size_wh: tuple[int, int]
     ) -> Rectification:
-        """Rectification of a scene's road, or of the whole frame as in the earlier method.
+        """Rectification of a scene's road, of the whole frame as in the earlier method, or none: the frame resized.
 
         Raises:
             RectificationError: see `from_road_mask` and `from_window`.
         """
         if region is Region.ROAD:
             return cls.from_road_mask(camera, road, pair, size_wh)
-        return cls.from_window(camera, [0, 0, *road.size_wh], pair, size_wh)
+        if region is Region.FRAME:
+            return cls.from_window(camera, [0, 0, *road.size_wh], pair, size_wh)
+        _check_size(size_wh)
+        factors = np.divide(size_wh, road.size_wh)
+        vpu = camera.vanishing_point(pair.unused) * factors
+        return cls(pair, size_wh, np.diag([*factors, 1.0]), vpu, road.size_wh, 1.0, float(road.pixels.mean()))
 
     @classmethod
     def from_road_mask(

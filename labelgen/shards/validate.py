@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.box3d import decode_boxes
-from labelgen.labels import Split, VehicleClass
+from labelgen.labels import Flag, Split, VehicleClass
 from labelgen.shards.collection import find_shards
 from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, build_index, file_hash, read_index
 from labelgen.shards.reader import ShardReader
@@ -164,6 +164,7 @@ def _check_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
     if not problems:
         vpu = np.repeat(arrays["samples/vpu"], np.diff(arrays["labels/offset"]), axis=0)
         _, valid = decode_boxes(box, cc, vpu)
+        valid |= (arrays["labels/flags"] & Flag.FLAT.value) > 0
         if not valid.all():
             problems.append(f"labels: {int((~valid).sum())} have no 3D box (first at row {int((~valid).argmax())})")
     return problems

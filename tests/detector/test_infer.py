@@ -105,7 +105,7 @@ def test_half_precision_is_close() -> None:
 @pytest.mark.parametrize(
     ("weight", "variant", "message"),
     [
-        (1.0, Variant.ORIG2D, "works on rectified pictures"),
+        (1.0, Variant.ORIG2D, "trained on rectifications of the road; use transform3d or transform2d"),
         (0.0, Variant.TRANSFORM3D, "trained without c_c"),
     ],
 )
@@ -113,6 +113,19 @@ def test_variants_a_model_cannot_do(weight: float, variant: Variant, message: st
     config = replace(CONFIG, cc_weight=weight)
     with pytest.raises(LabelgenError, match=message):
         model_view(card(config), CAMERA, ROAD, variant)
+
+
+def test_a_model_of_plain_frames_sees_plain_frames() -> None:
+    config = replace(CONFIG, cc_weight=0.0)
+    plain = replace(card(config), labels=[{"settings": [{"kind": "masks", "region": "none"}]}])
+    view = model_view(plain, CAMERA, ROAD)
+    assert view.variant is Variant.ORIG2D
+    np.testing.assert_allclose(view.to_frame([[80.0, 48.0]]), [[SIZE[0] / 2, SIZE[1] / 2]])
+    placed, valid = view.place(0, 0.0, [[60.0, 30.0, 100.0, 60.0]])
+    assert valid.all()
+    np.testing.assert_allclose(placed.feet_px, [[SIZE[0] / 2, 60 / 96 * SIZE[1]]])
+    with pytest.raises(LabelgenError, match="trained on frames as they are; use orig2d"):
+        model_view(plain, CAMERA, ROAD, Variant.TRANSFORM2D)
 
 
 def test_models_without_cc_default_to_2d() -> None:

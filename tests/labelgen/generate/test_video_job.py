@@ -46,7 +46,7 @@ def test_labels_are_those_of_the_exact_boxes(
     labelgen, clip: Path, tmp_path: Path, pair: Pair, rule: str, region: str
 ) -> None:
     options = ["--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 10, "--pair", pair, "--rule", rule]
-    options += ["--whole-frame"] if region == "frame" else []
+    options += ["--region", region] if region != "road" else []
     report = _run(labelgen, tmp_path / "out", clip, *options)
     assert (report["images"], report["labels"], report["rejects"]) == (6, 12, 0)
     assert ShardSet([tmp_path / "out"]).readers[0].settings["region"] == region
@@ -72,6 +72,24 @@ def test_labels_are_those_of_the_exact_boxes(
         np.testing.assert_allclose(sample.labels.scores, 0.9)
         assert np.isfinite(sample.labels.candidates).all()
         np.testing.assert_array_equal(sample.window_xyxy, [0, 0, *SIZE])
+
+
+def test_frames_that_are_not_rectified(labelgen, clip: Path, tmp_path: Path) -> None:
+    masks = f"coco:{clip.parent / 'masks.json'}"
+    options = ["--masks", masks, "--every", 10, "--region", "none", "--size", "320x180"]
+    report = _run(labelgen, tmp_path / "out", clip, *options)
+    assert (report["images"], report["labels"], report["rejects"]) == (6, 12, 0)
+    for sample in ShardSet([tmp_path / "out"]):
+        assert sample.image.shape == (180, 320, 3)
+        np.testing.assert_allclose(sample.rectification.matrix, np.diag([0.5, 0.5, 1]))
+        corners = vehicle_boxes(sample.frame) / 2
+        exact = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).clip(0, [320, 180, 320, 180])
+        found = sample.labels.boxes_xyxy
+        np.testing.assert_allclose(found[found[:, 0].argsort()], exact[exact[:, 0].argsort()], atol=0.8)
+        assert sample.labels.has(Flag.FLAT).all()
+        assert not sample.labels.vertices(sample.rectification.vpu)[1].any()
+    assert labelgen("inspect", tmp_path / "out").returncode == 0
+    assert labelgen("bcs-masks", clip, "--masks", masks, "--region", "sky").returncode == 2
 
 
 def test_background_masks_find_the_cars(labelgen, tmp_path: Path) -> None:
