@@ -12,6 +12,7 @@ from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 from labelgen.synth.bodies import body_mesh
 from labelgen.synth.mesh import Chart, Mesh, box_mesh
+from labelgen.synth.motorcycle import draw_motorcycle, motorcycle_mesh
 from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.skin import Skin, draw_skin
@@ -89,7 +90,11 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
-    skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
+    if kind == "motorcycle":
+        skin = Skin(extent)
+        draw_motorcycle(skin, body.shape, body.colour, rng, lamps=lamps)
+    else:
+        skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
     return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
 
@@ -122,7 +127,7 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
         colour, metal = (0.68, 0.68, 0.67), 0.0
     shape = sample_shape(kind, rng)
-    mesh = body_mesh(shape)
+    mesh = motorcycle_mesh(shape) if kind == "motorcycle" else body_mesh(shape)
     return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
 
 
