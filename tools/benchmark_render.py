@@ -54,7 +54,7 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
 
     from labelgen.synth import render
     from labelgen.synth.light import Weather, make_light
-    from labelgen.synth.road import draw_road
+    from labelgen.synth.road import draw_scene
     from labelgen.synth.scenes import procedural_scene
     from labelgen.synth.traffic import random_traffic
     from labelgen.synth.video import VideoWriter
@@ -62,9 +62,9 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     rng = np.random.default_rng([seed, 1])
     scene = procedural_scene(rng, size_wh)
     light = make_light(Weather.DAY, rng)
-    background = draw_road(scene, light, rng)
+    background, still = draw_scene(scene, light, rng)
     trips = random_traffic(scene, 600.0, seed, per_minute=60)
-    renderer = render.Renderer(scene.camera, background, light, seed=seed)
+    renderer = render.Renderer(scene.camera, background, light, seed=seed, still=still)
     batches = _busy_moments(renderer, trips, scene, vehicles, frames)
     count = len(batches)
     if not count:

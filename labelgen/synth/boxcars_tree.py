@@ -26,9 +26,9 @@ from labelgen.geometry import Camera, road_cuboids
 from labelgen.synth.light import Light, Weather, make_light, varied_light
 from labelgen.synth.render import Renderer
 from labelgen.synth.road import draw_scene
-from labelgen.synth.still import Still
 from labelgen.synth.scenes import Scene, procedural_scene
 from labelgen.synth.session import place
+from labelgen.synth.still import Still
 from labelgen.synth.traffic import Trip, random_traffic
 from labelgen.synth.truth import own_front_first
 

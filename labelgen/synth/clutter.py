@@ -42,6 +42,8 @@ _SETTINGS: dict[str, dict[str, dict[str, float]]] = {
     },
 }  # fmt: skip
 _FAR_M = 130.0
+_FREE_M = 4.8
+"""Height above the lanes that stays free, metres."""
 _TALL = ("tree", "building", "bus stop", "utility pole", "wall")
 
 
@@ -119,7 +121,16 @@ def _verge(
         }.get(kind, at + rng.uniform(0.4, 2.2))  # fmt: skip
         near = 16.0 if kind in _TALL else 9.0
         if np.hypot(x, edge + side * y) > near:
-            yield Prop(kind, AT[kind](x, edge + side * y, side, rng))
+            yield Prop(kind, _clear_of_road(AT[kind](x, edge + side * y, side, rng), edge, side))
+
+
+def _clear_of_road(soup: Soup, edge: float, side: int) -> Soup:
+    """The thing moved away from the road as far as it takes to keep the space above the lanes free."""
+    low = soup.corners[soup.corners[..., 2] < _FREE_M]
+    if not len(low):
+        return soup
+    inside = edge + side * 0.3 - (low[:, 1].min() if side > 0 else low[:, 1].max())
+    return soup.moved((0.0, side * max(0.0, side * inside), 0.0))
 
 
 def _median(low: float, high: float, rng: np.random.Generator) -> Iterator[Prop]:

@@ -34,7 +34,8 @@ def motorcycle_mesh(shape: Shape) -> Mesh:
     head = [(0.06 * k + dx, 0.0, z * h) for dx, z in ((0, 1.36), (0.02, 1.42), (0.03, 1.52), (0.02, 1.61), (0, 1.66))]
     parts.append(tube_mesh(head, (0.06, 0.12, 0.14, 0.11, 0.02), chart=None))
     for side in (-1, 1):
-        arm = [(-0.02 * k, side * 0.2, 1.26 * h), (0.12 * k, side * 0.34 * w, 1.08 * h), (0.35 * k, side * 0.33 * w, 1.0 * h)]
+        hand = (0.35 * k, side * 0.33 * w, 1.0 * h)
+        arm = [(-0.02 * k, side * 0.2, 1.26 * h), (0.12 * k, side * 0.34 * w, 1.08 * h), hand]
         parts.append(tube_mesh(arm, (0.07, 0.06, 0.05), sides=8))
         leg = [(-0.3 * k, side * 0.13, top), (0.08 * k, side * 0.26 * w, 0.72 * h), (-0.18 * k, side * 0.24 * w, 0.32)]
         parts.append(tube_mesh(leg, (0.11, 0.085, 0.06), sides=8))

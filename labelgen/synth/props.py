@@ -49,9 +49,10 @@ def guard_rail(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     """A steel rail on posts, waved as rolled steel is."""
     tone = _grey(rng, 0.22, 0.42)
     parts = []
-    for part, (low, high, out) in enumerate(((0.44, 0.52, 0.0), (0.52, 0.60, 0.05), (0.60, 0.68, 0.05), (0.68, 0.76, 0))):
-        shade = tuple(c * (0.75, 0.55, 1.0, 0.85)[part] for c in tone)
-        parts.append(box((x0, y - 0.02 + side * out, low), (x1, y + 0.02 + side * out, high), shade))
+    wave = ((0.44, 0.0, 0.75), (0.52, 0.05, 0.55), (0.60, 0.05, 1.0), (0.68, 0.0, 0.85))
+    for low, out, level in wave:
+        shade = tuple(c * level for c in tone)
+        parts.append(box((x0, y - 0.02 + side * out, low), (x1, y + 0.02 + side * out, low + 0.08), shade))
     for x in np.arange(x0, x1, rng.choice([2.0, 4.0])).tolist():
         parts.append(box((x, y - 0.05, 0), (x + 0.1, y + 0.05, 0.62), _STEEL))
     return gather(parts)
@@ -234,7 +235,8 @@ def lamp_post(x: float, y: float, side: int, rng: Rng) -> Soup:
 def utility_pole(x: float, y: float, side: int, rng: Rng) -> Soup:
     """A wooden or concrete pole with cross-bars and wires along the road."""
     high, tone = rng.uniform(6.5, 10.0), ((0.14, 0.10, 0.07), (0.33, 0.32, 0.30))[int(rng.integers(2))]
-    parts = [rod((x, y, 0), (x, y, high), 0.13, tone), rod((x, y - 0.8, high - 0.5), (x, y + 0.8, high - 0.5), 0.05, tone)]
+    parts = [rod((x, y, 0), (x, y, high), 0.13, tone)]
+    parts.append(rod((x, y - 0.8, high - 0.5), (x, y + 0.8, high - 0.5), 0.05, tone))
     for offset in (-0.7, 0.0, 0.7):
         for start in np.arange(max(x - 24, 1.0), x + 24, 6.0).tolist():
             sag = [0.9 * (((s - x) / 24) ** 2) for s in (start, start + 6)]
@@ -324,8 +326,8 @@ def building(x: float, y: float, side: int, rng: Rng) -> Soup:
             bx, by = corner[0] + along[0] * u1, corner[1] + along[1] * u1
             ox, oy = (0.0, -side * out) if along[0] else (-out, 0.0)
             z0, z1 = z - grow, z + tall + grow
-            quad = ((ax + ox, ay + oy, z0), (bx + ox, by + oy, z0), (bx + ox, by + oy, z1), (ax + ox, ay + oy, z1))
-            parts.append(plate(*quad, tone))
+            ax, ay, bx, by = ax + ox, ay + oy, bx + ox, by + oy
+            parts.append(plate((ax, ay, z0), (bx, by, z0), (bx, by, z1), (ax, ay, z1), tone))
 
     for storey in range(storeys):
         z = 0.9 + 3.1 * storey
@@ -336,8 +338,8 @@ def building(x: float, y: float, side: int, rng: Rng) -> Soup:
     if rng.random() < 0.6:
         ridge, middle, tile = high + rng.uniform(1.5, 3.5), (low_y + top_y) / 2, (0.20, 0.08, 0.05)
         for edge in (low_y - 0.3, top_y + 0.3):
-            quad = ((x, edge, high), (x + long, edge, high), (x + long, middle, ridge), (x, middle, ridge))
-            parts.append(plate(*quad, tile))
+            top = ((x + long, middle, ridge), (x, middle, ridge))
+            parts.append(plate((x, edge, high), (x + long, edge, high), *top, tile))
         parts.append(plate((x, low_y, high), (x, top_y, high), (x, middle, ridge), (x, middle, ridge), base.tolist()))
     return gather(parts)
 
@@ -356,9 +358,9 @@ def gantry(x: float, low: float, high: float, rng: Rng) -> Soup:
             parts.append(box((x - 0.25, y, z - 0.2), (x - 0.15, y + wide, z - 0.2 + tall), board))
             for k in range(2):
                 row = z + 0.1 + 0.4 * k
-                quad = ((x - 0.26, y + 0.2, row), (x - 0.26, y + 0.8 * wide, row))
-                up = tuple((a, b, c + 0.16) for a, b, c in reversed(quad))
-                parts.append(plate(*quad, *up, (0.6, 0.6, 0.58)))
+                ends = (y + 0.2, y + 0.8 * wide)
+                ink = [(x - 0.26, at, z_ink) for z_ink in (row, row + 0.16) for at in ends]
+                parts.append(plate(ink[0], ink[1], ink[3], ink[2], (0.6, 0.6, 0.58)))
     return gather(parts)
 
 

@@ -131,9 +131,7 @@ def _surface(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _texel(
-    px: float, py: float, pz: float, m: int, chart_maps: _F, skin: _F
-) -> tuple[float, float, float, int]:
+def _texel(px: float, py: float, pz: float, m: int, chart_maps: _F, skin: _F) -> tuple[float, float, float, int]:
     """Albedo and material of a body-frame point: colours between the four nearest texels, materials as they are."""
     u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
@@ -292,8 +290,21 @@ def shade(
                     if t != last:
                         x, y = origin[0] + col + (j + 0.5) / ss, origin[1] + r + (i + 0.5) / ss
                         red1, green1, blue1 = _light_on(
-                            x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, pose,
-                            sun_map, grid,
+                            x,
+                            y,
+                            t,
+                            screen,
+                            triangles,
+                            body,
+                            normals,
+                            charts,
+                            chart_maps,
+                            skin,
+                            paint,
+                            light,
+                            pose,
+                            sun_map,
+                            grid,
                         )
                         last = t
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.

@@ -210,6 +210,9 @@ class Renderer:
             shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
         left = cv2.resize(left, (x1 - x0, y1 - y0), interpolation=cv2.INTER_LINEAR)
+        clear = float(np.exp(-self.light.haze_per_m * np.hypot(*placed.centre_xy)))
+        if clear < 0.97:  # air fills shadows up
+            left = cv2.addWeighted(left, clear, left, 0.0, 255 * (1 - clear))
         part = image[y0:y1, x0:x1]
         if self.still is not None:  # the shadow lies on the road, behind what stands before it
             left = cv2.max(left, self.still.cover[y0:y1, x0:x1])

@@ -172,9 +172,7 @@ def _soft(value: Any, width: Any) -> Any:
     return np.clip(value / np.maximum(width, np.float32(1e-4)) + np.float32(0.5), 0, 1)
 
 
-def _ground(
-    scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane
-) -> Plane:
+def _ground(scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane) -> Plane:
     """Albedo of grass, gravel, asphalt and markings."""
     grain = _lookup(look.grain, x, y, 6.0) * np.clip(0.012 / footprint, 0, 1)
     patches = _lookup(look.patches, x, y * 2.5, 40.0) + 0.6 * _lookup(look.patches, x * 0.13, y, 17.0)
@@ -237,9 +235,7 @@ def _wet(scene: Scene, light: Light, look: _Look, radiance: Any, x: Plane, y: Pl
     return radiance * (1 - share) + light.sky_low.astype(np.float32) * share
 
 
-def _woods(
-    scene: Scene, light: Light, look: _Look, radiance: Any, rays: list[Plane], wood: tuple[float, float]
-) -> Any:
+def _woods(scene: Scene, light: Light, look: _Look, radiance: Any, rays: list[Plane], wood: tuple[float, float]) -> Any:
     """A row of bushes and trees along the road as an upright screen of leaves. `wood`: y, and height in metres."""
     side, high = wood
     with np.errstate(divide="ignore", invalid="ignore"):

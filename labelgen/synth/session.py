@@ -139,9 +139,7 @@ class _Done:
     cars: list[dict[str, Any]]
 
 
-def _made_up(
-    seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None
-) -> _Setting:
+def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None) -> _Setting:
     """A made-up road with its picture."""
     rng = np.random.default_rng([seed, 1])
     scene = procedural_scene(rng, size_wh, heading=heading, name=name)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ def box(low: Sequence[float], high: Sequence[float], tone: Tone, *, piece_m: flo
     """Axis-aligned box, cut along x into pieces of at most `piece_m`, so that each has a place of its own."""
     edges = np.linspace(low[0], high[0], max(1, int(np.ceil((high[0] - low[0]) / piece_m))) + 1)
     parts = []
-    for x0, x1 in zip(edges[:-1], edges[1:], strict=True):
+    for x0, x1 in pairwise(edges.tolist()):
         corner = np.array([[x, y, z] for x in (x0, x1) for y in (low[1], high[1]) for z in (low[2], high[2])])
         parts += [corner[[[f[0], f[1], f[2]], [f[0], f[2], f[3]]]] for f in _FACES]
     return _flat(np.concatenate(parts), tone)
@@ -109,13 +110,16 @@ def blob_leaves(
     outward = out + 0.8 * spot
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     depth = np.clip(0.35 + 0.5 * np.linalg.norm(spot, axis=1) + 0.25 * spot[:, 2], 0.25, 1.15)
-    tones = np.asarray(tone) * (depth * np.exp(rng.normal(0, 0.22, count)) * np.exp(rng.normal(0, 0.15, clumps))[pick])[
-        :, None
-    ]
+    tones = (
+        np.asarray(tone)
+        * (depth * np.exp(rng.normal(0, 0.22, count)) * np.exp(rng.normal(0, 0.15, clumps))[pick])[:, None]
+    )
     return _leaves(np.asarray(centre) + spot * radius, outward / radius * radius.min(), leaf_m, tones, rng)
 
 
-def box_leaves(low: Sequence[float], high: Sequence[float], leaf_m: float, tone: Tone, rng: np.random.Generator) -> Soup:
+def box_leaves(
+    low: Sequence[float], high: Sequence[float], leaf_m: float, tone: Tone, rng: np.random.Generator
+) -> Soup:
     """Leaves of a trimmed hedge: over the top and the sides of a box."""
     a, b = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     size = b - a

@@ -69,7 +69,7 @@ class Still:
     def in_front(
         self, window_xyxy: tuple[int, int, int, int], bounds: tuple[float, float, float, float]
     ) -> NDArray[np.uint8] | None:
-        """What part of each pixel of a window shows a thing nearer than who stands on `bounds`; None where nothing does.
+        """What part of each pixel of a window shows a thing nearer than who stands on `bounds`; None for none.
 
         Args:
             window_xyxy: px.
@@ -106,8 +106,9 @@ def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
     """The things that hide little of the measured road."""
     if not props:
         return []
-    camera, size = scene.camera, scene.road_mask.shape[::-1]
-    quarter = (size[0] // 4, size[1] // 4)
+    camera = scene.camera
+    height, width = scene.road_mask.shape
+    quarter = (width // 4, height // 4)
     soup = gather([p.soup for p in props])
     owner = np.repeat(np.arange(len(props)), [len(p.soup) for p in props])
     screen = _on_screen(camera, soup)
@@ -115,8 +116,8 @@ def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
     ids = visible_triangles(screen, _corner_numbers(soup), quarter, (0.0, 0.0), 1, False)
     road = cv2.resize(scene.road_mask.astype(np.uint8), quarter, interpolation=cv2.INTER_NEAREST) > 0
     hidden = np.bincount(owner[ids[road & (ids >= 0)]], minlength=len(props))
-    limit = _HIDES_AT_MOST * max(np.count_nonzero(road), 1)
-    return [p for p, count in zip(props, hidden.tolist(), strict=True) if count <= limit]
+    limit = _HIDES_AT_MOST * max(int(np.count_nonzero(road)), 1)
+    return [p for k, p in enumerate(props) if hidden[k] <= limit]
 
 
 def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
@@ -126,7 +127,7 @@ def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
     ways = carriageways(scene)
     corner = np.array([-5.0, min(w[0] for w in ways) - 14.0])
     far = np.array([145.0, max(w[1] for w in ways) + 14.0])
-    size = tuple(int(v) for v in (far - corner) / _CELL)
+    size = [int(v) for v in ((far - corner) / _CELL).tolist()]
     soup = gather([p.soup for p in props])
     numbers, points = _corner_numbers(soup), soup.corners.reshape(-1, 3).astype(np.float64)
 
@@ -158,6 +159,25 @@ def _radiance(camera: Camera, light: Light, soup: Soup) -> NDArray[np.float32]:
     return np.asarray(light.through_air(lit, np.linalg.norm(to_camera, axis=1)[:, None]), dtype=np.float32)
 
 
+def _standing_at(camera: Camera, soup: Soup, ids: NDArray[np.int32], top: int) -> NDArray[np.float32]:
+    """(h, w, 2) metres: x and y of what pixels of the rows from `top` on show; 0 where they show nothing."""
+    out = np.zeros((*ids.shape, 2), dtype=np.float32)
+    row, column = np.nonzero(ids >= 0)
+    if not len(row):
+        return out
+    corners = soup.corners[ids[row, column]].astype(np.float64)
+    eye = np.array([0.0, 0.0, camera.height_m])
+    at = np.stack([column + 0.5 - camera.pp[0], row + top + 0.5 - camera.pp[1], np.full(len(row), camera.focal)], axis=1)
+    rays = at @ camera.axes.T
+    plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = (plane * (corners[:, 0] - eye)).sum(axis=1) / (plane * rays).sum(axis=1)
+    spot = (eye + np.nan_to_num(far)[:, None] * rays)[:, :2]
+    # Grazing rays meet the plane far off; the triangle itself bounds where that can be.
+    out[row, column] = spot.clip(corners[..., :2].min(axis=1), corners[..., :2].max(axis=1))
+    return out
+
+
 def draw_props(
     image: Any, camera: Camera, light: Light, props: Sequence[Prop], shade: Shade
 ) -> tuple[NDArray[np.float32], Still | None]:
@@ -179,7 +199,6 @@ def draw_props(
     soup = gather([p.soup for p in props])
     ids = visible_triangles(_on_screen(camera, soup), _corner_numbers(soup), (width, height), (0.0, 0.0), _SS, False)
     tone = light.grey_levels(_radiance(camera, light, soup))[:, ::-1]
-    ground = soup.corners[..., :2].mean(axis=1)
     out, cover = image.copy(), np.empty((height, width), dtype=np.uint8)
     place = np.zeros((height, width, 2), dtype=np.float32)
     for top in range(0, height, _STRIP):
@@ -192,5 +211,5 @@ def draw_props(
         out[rows] = out[rows] * (1 - share[..., None]) + painted
         cover[rows] = (255 * share).astype(np.uint8)
         nearest = part.reshape(size[1], _SS, width, _SS).max(axis=(1, 3))
-        place[rows] = np.where((nearest >= 0)[..., None], ground[np.maximum(nearest, 0)], np.float32(0))
+        place[rows] = _standing_at(camera, soup, nearest, rows.start)
     return out, Still(cover, place, shade)

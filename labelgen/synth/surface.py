@@ -1,4 +1,4 @@
-"""What lies on the lanes: arrows, words, crossings, patches, cracks, joints, stains. A map in metres, seen from above."""
+"""What lies on the lanes: arrows, words, crossings, patches, cracks, joints, stains; a map seen from above."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Surface:
     low_y: float
 
     def at(self, x: Plane, y: Plane, footprint: Plane) -> tuple[Plane, Plane]:
-        """Share of paint and factor on the asphalt at metres on the road, seen with samples of a footprint in metres."""
+        """Share of paint and factor on the asphalt at metres on the road; `footprint`: metres per sample."""
         level = int(np.clip(np.log2(max(float(np.median(footprint)) * 5 / _CELL, 1.0)), 0, len(self.levels) - 1))
         plane = self.levels[level]
         column = (x * np.float32(1 / (_CELL * 2**level))).astype(np.int32)
@@ -71,7 +71,7 @@ def _arrow(sheet: _Sheet, x: float, y: float, heading: int, kind: int) -> None:
     stem = [(0, -0.08), (2.6, -0.08), (2.6, 0.08), (0, 0.08)]
     tip = [(2.6, -0.35), (5.0, 0), (2.6, 0.35)]
     bend = [(1.4, 0.06), (2.6, 0.55), (2.3, 0.75), (4.0, 0.95), (3.2, 0.25), (2.9, 0.40), (1.9, -0.06)]
-    shapes = [[stem, tip], [stem[:1] + [(1.9, -0.08), (1.9, 0.08), (0, 0.08)], bend], [stem, tip, bend]][kind]
+    shapes = [[stem, tip], [[*stem[:1], (1.9, -0.08), (1.9, 0.08), (0, 0.08)], bend], [stem, tip, bend]][kind]
     for shape in shapes:
         points = np.array(shape) * [heading, heading * (1 if kind != 1 else -1)] + [x, y]
         sheet.polygon(sheet.paint, points, 235)
@@ -81,11 +81,11 @@ def _word(sheet: _Sheet, x: float, y: float, heading: int, rng: np.random.Genera
     """A word or a number, stretched along the road."""
     text = str(rng.choice(["BUS", "50", "SLOW", "TAXI", "70", "STOP", "A6"]))
     (wide, tall), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 2.0, 8)
-    page = np.zeros((tall + 20, wide + 20), np.uint8)
+    page: Any = np.zeros((tall + 20, wide + 20), np.uint8)
     cv2.putText(page, text, (10, tall + 10), cv2.FONT_HERSHEY_SIMPLEX, 2.0, 235, 8, cv2.LINE_AA)
     page = cv2.resize(page, (int(2.4 / _CELL), int(4.0 / _CELL)), interpolation=cv2.INTER_AREA)
     # Read by who drives there: its top lies ahead, its left on the driver's left.
-    turned = cv2.rotate(page, cv2.ROTATE_90_CLOCKWISE)[::-1] if heading > 0 else cv2.rotate(page, cv2.ROTATE_90_COUNTERCLOCKWISE)[::-1]
+    turned = np.rot90(page, -1 if heading > 0 else 1)[::-1]
     column, row = int(x / _CELL), int((y - sheet.low_y - 1.2) / _CELL)
     part = sheet.paint[max(row, 0) : row + turned.shape[0], column : column + turned.shape[1]]
     np.maximum(part, turned[: part.shape[0], : part.shape[1]], out=part)
@@ -103,7 +103,8 @@ def _wear(sheet: _Sheet, low: float, high: float, rng: np.random.Generator) -> N
             sheet.line(tone, [(x, low), (x, high)], 85, 0.05)
     for _ in range(int(rng.integers(0, 9))):
         steps = np.cumsum(rng.normal([1.2, 0.0], [0.5, 0.25], (int(rng.integers(4, 14)), 2)), axis=0)
-        sheet.line(tone, steps + [rng.uniform(0, 90), rng.uniform(low, high)], float(rng.uniform(55, 100)), 0.06)
+        start = np.array([rng.uniform(0, 90), rng.uniform(low, high)])
+        sheet.line(tone, steps + start, float(rng.uniform(55, 100)), 0.06)
     for _ in range(int(rng.integers(0, 4))):
         centre = sheet.pixels([(rng.uniform(5, 80), rng.uniform(low, high))])[0] // 16
         cv2.circle(tone, (int(centre[0]), int(centre[1])), int(0.35 / _CELL), 80, -1, cv2.LINE_AA)
@@ -136,9 +137,9 @@ def draw_surface(scene: Scene, rng: np.random.Generator) -> Surface:
             for k in range(12):
                 at = x + 1.6 * k
                 sheet.polygon(sheet.paint, [(at, y), (at + 0.4, y), (at + 1.4, y + 1.4), (at + 1.0, y + 1.4)], 215)
-    levels = [np.stack([cv2.GaussianBlur(p, (0, 0), 0.7) for p in (sheet.paint, sheet.tone)], axis=-1)]
+    levels: list[Any] = [np.stack([cv2.GaussianBlur(p, (0, 0), 0.7) for p in (sheet.paint, sheet.tone)], axis=-1)]
     for _ in range(4):
         wide = levels[-1]
-        half: Any = cv2.resize(wide, (wide.shape[1] // 2, wide.shape[0]), interpolation=cv2.INTER_AREA)
+        half = cv2.resize(wide, (wide.shape[1] // 2, wide.shape[0]), interpolation=cv2.INTER_AREA)
         levels.append(cv2.GaussianBlur(half, (1, 3), 0))
     return Surface(levels, sheet.low_y)
