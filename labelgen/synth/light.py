@@ -97,6 +97,15 @@ class Light:
         steep = middle + self.contrast * (value - middle)
         return np.asarray(255 * (self.lift + (1 - self.lift) * steep.clip(0, 1)), dtype=np.float32)
 
+    @cached_property
+    def around(self) -> NDArray[np.float32]:
+        """(128, 128, 3) radiance of sky, clouds, skyline and ground as paint and glass mirror them.
+
+        An octahedron unfolded: the square's middle is the zenith, its corners are the nadir, the diamond between them
+        the horizon; columns run along x, rows along y.
+        """
+        return _surroundings(self)
+
     def through_air(self, radiance: Any, distance_m: Any) -> Any:
         """Radiance (..., 3) as it arrives from a distance (..., 1)."""
         if not self.haze_per_m:
@@ -194,3 +203,45 @@ def varied_light(light: Light, rng: np.random.Generator) -> Light:
         contrast=rng.uniform(0.6, 0.85) if flat else rng.uniform(1.0, 1.4),
         lift=rng.uniform(0.02, 0.15) if flat else 0.0,
     )
+
+
+def _waves(azimuth: NDArray[Any], rng: np.random.Generator, octaves: int) -> NDArray[np.float64]:
+    """Periodic noise around the horizon, about -1 to 1."""
+    total = np.zeros_like(azimuth)
+    for k in range(octaves):
+        total += np.sin((2 * k + 2) * azimuth + rng.uniform(0, 2 * np.pi)) / (1 + 0.5 * k)
+    return total / 2
+
+
+def _surroundings(light: Light, side: int = 128) -> NDArray[np.float32]:
+    rng = np.random.default_rng(int(1e6 * (1 + light.sun_direction[0])))
+    grid = (np.arange(side) + 0.5) / side * 2 - 1
+    u, v = np.meshgrid(grid, grid)
+    z = 1 - np.abs(u) - np.abs(v)
+    fold = np.clip(-z, 0, None)
+    x, y = u - np.sign(u) * fold, v - np.sign(v) * fold
+    norm = np.sqrt(x * x + y * y + z * z)
+    x, y, z = x / norm, y / norm, z / norm
+    azimuth = np.arctan2(y, x)
+    climb = np.sqrt(np.clip(z, 0, 1))[..., None]
+    out = light.sky_low + (light.sky_high - light.sky_low) * climb
+    # Clouds: bright patches under a clear sky, darker ones under a grey one.
+    with np.errstate(divide="ignore"):
+        flat_x, flat_y = x / np.maximum(z, 0.08), y / np.maximum(z, 0.08)
+    puffs = np.zeros_like(z)
+    for scale in (0.9, 1.9, 4.1):
+        a, b, c = rng.uniform(0, 2 * np.pi, 3)
+        puffs += np.sin(scale * flat_x + a + np.sin(scale * flat_y + b)) * np.cos(scale * flat_y + c) / scale**0.5
+    cloud = np.clip(puffs - rng.uniform(-0.4, 0.9), 0, 1)[..., None]
+    white = 0.45 * (light.sun + light.ambient) if light.sun.max() > 0.3 else 0.75 * light.sky_low
+    out = out + (white - out) * cloud * 0.8
+    # Woods and houses, lower where the road runs.
+    skyline = (0.14 + 0.12 * _waves(azimuth, rng, 7)) * (0.25 + 0.75 * np.abs(np.sin(azimuth)))
+    dark = light.horizon * (1 + 0.5 * _waves(azimuth * 3, rng, 5))[..., None]
+    out = np.where((z < skyline)[..., None], dark, out)
+    verge = 0.5 * light.road_radiance + 0.5 * light.horizon
+    beside = np.clip(np.abs(np.sin(azimuth)) * 3 * (1 + z) - 0.6, 0, 1)[..., None]
+    ground = light.road_radiance * (1 - beside) + verge * beside
+    depth = np.clip(-z * 5, 0, 1)[..., None]
+    out = np.where((z < 0)[..., None], light.horizon + (ground - light.horizon) * depth, out)
+    return np.ascontiguousarray(out, dtype=np.float32)

@@ -79,24 +79,23 @@ def visible_triangles(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _environment(x: float, y: float, z: float, light: _F) -> tuple[float, float, float]:
-    """Radiance of sky, horizon and road from a direction in the road frame."""
-    if z < 0.0:
-        k = min(1.0, -z * 4.0)
-        return (
-            light[9] + (light[3] - light[9]) * k,
-            light[10] + (light[4] - light[10]) * k,
-            light[11] + (light[5] - light[11]) * k,
-        )
-    # A wavy line of trees and houses, then sky that darkens towards the zenith.
-    skyline = 0.10 + 0.05 * math.sin(5.0 * x + 1.3) * math.sin(4.0 * y) + 0.03 * math.sin(13.0 * x - 7.0 * y)
-    if z < skyline:
-        return light[9], light[10], light[11]
-    k = math.sqrt(min(1.0, z))
+def _environment(x: float, y: float, z: float, around: _F) -> tuple[float, float, float]:
+    """Radiance that comes from a direction in the road frame."""
+    side = around.shape[0]
+    scale = 1.0 / (abs(x) + abs(y) + abs(z) + 1e-9)
+    u, v = x * scale, y * scale
+    if z < 0:
+        u, v = (1 - abs(v)) * (1.0 if u >= 0 else -1.0), (1 - abs(u)) * (1.0 if v >= 0 else -1.0)
+    u = min(max((0.5 * u + 0.5) * side - 0.5, 0.0), side - 1.001)
+    v = min(max((0.5 * v + 0.5) * side - 0.5, 0.0), side - 1.001)
+    column, row = int(u), int(v)
+    fu, fv = u - column, v - row
+    w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
+    a, b, c, d = around[row, column], around[row, column + 1], around[row + 1, column], around[row + 1, column + 1]
     return (
-        light[12] + (light[15] - light[12]) * k,
-        light[13] + (light[16] - light[13]) * k,
-        light[14] + (light[17] - light[14]) * k,
+        w00 * a[0] + w10 * b[0] + w01 * c[0] + w11 * d[0],
+        w00 * a[1] + w10 * b[1] + w01 * c[1] + w11 * d[1],
+        w00 * a[2] + w10 * b[2] + w01 * c[2] + w11 * d[2],
     )
 
 
@@ -131,24 +130,44 @@ def _surface(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _texel(px: float, py: float, pz: float, m: int, chart_maps: _F, skin: _F) -> tuple[float, float, float, int]:
-    """Albedo and material of a body-frame point: colours between the four nearest texels, materials as they are."""
+def _on_skin(px: float, py: float, pz: float, m: int, chart_maps: _F, skin: _F) -> tuple[float, float]:
+    """Where a body-frame point lies on the skin, px, kept inside it."""
     u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
-    iu = min(max(int(u), 0), skin.shape[1] - 1)
-    iv = min(max(int(v), 0), skin.shape[0] - 1)
-    material = skin[iv, iu, 3]
-    u, v = min(max(u - 0.5, 0.0), skin.shape[1] - 1.001), min(max(v - 0.5, 0.0), skin.shape[0] - 1.001)
+    return min(max(u, 0.0), skin.shape[1] - 1.001), min(max(v, 0.0), skin.shape[0] - 1.001)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _texel(u: float, v: float, skin: _F) -> tuple[float, float, float, float, float]:
+    """Albedo and slopes at a place of the skin, between the four nearest texels."""
+    u, v = max(u - 0.5, 0.0), max(v - 0.5, 0.0)
     iu, iv = int(u), int(v)
     fu, fv = u - iu, v - iv
     w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
     iu1, iv1 = min(iu + 1, skin.shape[1] - 1), min(iv + 1, skin.shape[0] - 1)
-    red, green, blue = 0.0, 0.0, 0.0
+    red, green, blue, along, down = 0.0, 0.0, 0.0, -1.28, -1.28
     for tu, tv, share in ((iu, iv, w00), (iu1, iv, w10), (iu, iv1, w01), (iu1, iv1, w11)):
         red += share * skin[tv, tu, 0]
         green += share * skin[tv, tu, 1]
         blue += share * skin[tv, tu, 2]
-    return red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0, material
+        along += 0.01 * share * skin[tv, tu, 4]
+        down += 0.01 * share * skin[tv, tu, 5]
+    return red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0, along, down
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _tilted(
+    nx: float, ny: float, nz: float, along: float, down: float, m: int, chart_maps: _F
+) -> tuple[float, float, float]:
+    """A unit normal on sheet metal that rises by `along` and `down` per metre in the drawing's two directions."""
+    a0, a1, a2 = chart_maps[m, 0, 0], chart_maps[m, 0, 1], chart_maps[m, 0, 2]
+    b0, b1, b2 = chart_maps[m, 1, 0], chart_maps[m, 1, 1], chart_maps[m, 1, 2]
+    scale = 1.0 / (abs(a0) + abs(a1) + abs(a2) + 1e-9)
+    nx -= scale * (along * a0 + down * b0)
+    ny -= scale * (along * a1 + down * b1)
+    nz -= scale * (along * a2 + down * b2)
+    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
+    return nx * norm, ny * norm, nz * norm
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -193,13 +212,17 @@ def _sunlit(px: float, py: float, pz: float, light: _F, pose: _F, sun_map: _F, g
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _light_on(
     x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F,
-    paint: _F, light: _F, pose: _F, sun_map: _F, grid: _F,
+    paint: _F, light: _F, around: _F, pose: _F, sun_map: _F, grid: _F,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Radiance of triangle t as seen at frame px x, y; arguments as in `shade`."""
     px, py, pz, nx, ny, nz = _surface(x, y, t, screen, triangles, body, normals)
-    red, green, blue, material = _texel(px, py, pz, charts[t], chart_maps, skin)
+    u, v = _on_skin(px, py, pz, charts[t], chart_maps, skin)
+    red, green, blue, along, down = _texel(u, v, skin)
+    material = skin[int(v), int(u), 3]
     if material == LIT:
         return red * light[18], green * light[18], blue * light[18]
+    if abs(along) + abs(down) > 0.004:
+        nx, ny, nz = _tilted(nx, ny, nz, along, down, charts[t], chart_maps)
     heading = pose[0]
     sun_x, sun_y, sun_z = light[0] * heading, light[1] * heading, light[2]
     ex, ey, ez = -pose[1] * heading - px, -pose[2] * heading - py, pose[3] - pz
@@ -215,7 +238,7 @@ def _light_on(
     amb_b = (up * (0.35 * light[14] + 0.65 * light[17]) + (1 - up) * light[5]) * open_sky
 
     rx, ry, rz = 2 * facing * nx - ex, 2 * facing * ny - ey, 2 * facing * nz - ez
-    er, eg, eb = _environment(rx * heading, ry * heading, rz, light)
+    er, eg, eb = _environment(rx * heading, ry * heading, rz, around)
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
     fresnel, gleam, spread, scattered = _gloss(material, paint, toward_sun, 1 - facing)
     if material == PAINT:
@@ -247,7 +270,8 @@ def _light_on(
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def shade(
     ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
-    light: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float], ss: int,
+    light: _F, around: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float],
+    ss: int,
 ) -> _F:  # fmt: skip
     """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
 
@@ -259,9 +283,10 @@ def shade(
         normals: (T, 3, 3) unit normals at the corners, body frame.
         charts: (T,) which row of `chart_maps` a triangle's skin is read through.
         chart_maps: (C, 2, 4) body (x, y, z, 1) -> skin px.
-        skin: (h, w, 4) uint8, linear-light RGB square-rooted to 8 bit, and the material.
+        skin: (h, w, 6) uint8, `Skin.image`.
         paint: (5,) metalness, gloss, height below which light is held back (m), unused, dirt.
         light: (24,) `Light.packed`.
+        around: (S, S, 3) float32, `Light.around`.
         pose: (4,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height.
         sun_map: (h, w) uint8, `Shade.sun`; one cell where nothing stands in the sun.
         grid: (3,) `Shade.grid`.
@@ -290,22 +315,9 @@ def shade(
                     if t != last:
                         x, y = origin[0] + col + (j + 0.5) / ss, origin[1] + r + (i + 0.5) / ss
                         red1, green1, blue1 = _light_on(
-                            x,
-                            y,
-                            t,
-                            screen,
-                            triangles,
-                            body,
-                            normals,
-                            charts,
-                            chart_maps,
-                            skin,
-                            paint,
-                            light,
-                            pose,
-                            sun_map,
-                            grid,
-                        )
+                            x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, around,
+                            pose, sun_map, grid,
+                        )  # fmt: skip
                         last = t
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
                     red += min(red1 * exposure, 4.0)

@@ -264,7 +264,8 @@ class Renderer:
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
         layer: Any = shade(
             ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
-            self._packed, pose, self._shade.sun, self._shade.grid, self.light.exposure, self.light.curve, origin, ss,
+            self._packed, self.light.around, pose, self._shade.sun, self._shade.grid, self.light.exposure,
+            self.light.curve, origin, ss,
         )  # fmt: skip
         layer = self._soften(layer, placed)
         if hidden is not None:

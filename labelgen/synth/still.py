@@ -167,7 +167,9 @@ def _standing_at(camera: Camera, soup: Soup, ids: NDArray[np.int32], top: int) -
         return out
     corners = soup.corners[ids[row, column]].astype(np.float64)
     eye = np.array([0.0, 0.0, camera.height_m])
-    at = np.stack([column + 0.5 - camera.pp[0], row + top + 0.5 - camera.pp[1], np.full(len(row), camera.focal)], axis=1)
+    at = np.stack(
+        [column + 0.5 - camera.pp[0], row + top + 0.5 - camera.pp[1], np.full(len(row), camera.focal)], axis=1
+    )
     rays = at @ camera.axes.T
     plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):

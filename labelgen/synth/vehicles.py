@@ -13,9 +13,10 @@ from labelgen.labels import VehicleClass
 from labelgen.synth.bodies import body_mesh
 from labelgen.synth.mesh import Chart, Mesh, box_mesh
 from labelgen.synth.motorcycle import draw_motorcycle, motorcycle_mesh
+from labelgen.synth.paintwork import draw_skin
 from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
-from labelgen.synth.skin import Skin, draw_skin
+from labelgen.synth.skin import Skin
 
 __all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size"]
 
@@ -86,7 +87,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
     body = _body(kind, rng)
     if body.shape is None:
         skin = Skin(body.size_lwh.tolist())
-        skin.image[:] = (*(round(255 * c**0.5) for c in body.colour), PAINT)
+        skin.image[..., :4] = (*(round(255 * c**0.5) for c in body.colour), PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
