@@ -48,7 +48,6 @@ def draw_skin(
         draw_bus(skin, shape, paint, style, rng)
     if shape.cargo is not None:
         draw_cargo(skin, shape, cargo, style, rng, lamps=lamps)
-    skin.finish()
     return skin
 
 

@@ -7,6 +7,7 @@ along the drawing's columns and rows, 128 for level, in steps of 0.01 metre per 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -36,8 +37,8 @@ class Skin:
         wide = int(np.ceil(max(length, width) * PPM)) + 2
         rows = [height, width, height, height, height, 0.1, 0.1]
         tops = np.cumsum([0] + [int(np.ceil(r * PPM)) + 2 for r in rows])
-        self.image = np.full((tops[-1], wide, 6), 128, dtype=np.uint8)
-        self._relief = [np.zeros(self.image.shape[:2], dtype=np.float32) for _ in range(2)]
+        self._colours = np.zeros((tops[-1], wide, 4), dtype=np.uint8)
+        self._relief = [np.zeros((tops[-1], wide), dtype=np.float32) for _ in range(2)]
         self.maps = np.zeros((len(Chart), 2, 4))
         self._tops, self._height, self._width = tops, height, width
         self._levels: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = []
@@ -65,14 +66,12 @@ class Skin:
 
     def fill(self, chart: Chart, colour: Colour, material: int) -> None:
         """Paint a whole chart."""
-        self.image[self._rows(chart), :, :4] = _texel(colour, material)
+        self._colours[self._rows(chart)] = _texel(colour, material)
 
     def polygon(self, chart: Chart, points: Any, colour: Colour, material: int) -> None:
         """Paint a polygon. Points: (d, z) on the sides, (d, y) on top, (y, z) at the ends, y to the viewer's right."""
-        rows = self._rows(chart)
-        view = np.ascontiguousarray(self.image[rows, :, :4])
+        view = self._colours[self._rows(chart)]
         cv2.fillPoly(view, [self._pixels(chart, points)], _texel(colour, material), cv2.LINE_8, 4)
-        self.image[rows, :, :4] = view
 
     def circle(self, chart: Chart, centre: Sequence[float], radius: float, colour: Colour, material: int) -> None:
         """Paint a disc."""
@@ -89,11 +88,9 @@ class Skin:
 
     def line(self, chart: Chart, points: Any, colour: Colour, material: int, width: float = 0.012) -> None:
         """Paint a line of a width in metres."""
-        rows = self._rows(chart)
-        view = np.ascontiguousarray(self.image[rows, :, :4])
+        view = self._colours[self._rows(chart)]
         thick = max(1, round(width * PPM))
         cv2.polylines(view, [self._pixels(chart, points)], False, _texel(colour, material), thick, cv2.LINE_8, 4)
-        self.image[rows, :, :4] = view
 
     def emboss(self, chart: Chart, points: Any, height: float, *, soft: bool = False) -> None:
         """Raise a polygon by so many metres; softly: over a wide edge."""
@@ -106,17 +103,22 @@ class Skin:
         thick = max(1, round(width * PPM))
         cv2.polylines(view, [self._pixels(chart, points)], False, -depth, thick, cv2.LINE_8, 4)
 
-    def finish(self) -> None:
-        """Turn what was embossed into slopes; drawings end at their own borders."""
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """(h, w, 6) uint8, all that was painted and embossed before it was first asked for."""
+        out = np.full((*self._colours.shape[:2], 6), 128, dtype=np.uint8)
+        out[..., :4] = self._colours
         for chart in Chart:
+            # Drawings end at their own borders.
             rows = self._rows(chart)
-            if not any(plane[rows].any() for plane in self._relief):
-                continue
             fine, soft = (plane[rows] for plane in self._relief)
+            if not fine.any() and not soft.any():
+                continue
             height = cv2.GaussianBlur(fine, (0, 0), _FINE_PX) + cv2.GaussianBlur(soft, (0, 0), _SOFT_PX)
             for channel, (dx, dy) in ((4, (1, 0)), (5, (0, 1))):
                 slope = cv2.Sobel(height, cv2.CV_32F, dx, dy, ksize=3, scale=PPM / 8)
-                self.image[rows, :, channel] = (128 + 100 * slope).clip(0, 255).round().astype(np.uint8)
+                out[rows, :, channel] = (128 + 100 * slope).clip(0, 255).round().astype(np.uint8)
+        return out
 
     def level(self, metres_per_px: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         """The image and the charts' maps at a resolution that suits pixels of this size: finer would flicker."""

@@ -87,7 +87,8 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
     body = _body(kind, rng)
     if body.shape is None:
         skin = Skin(body.size_lwh.tolist())
-        skin.image[..., :4] = (*(round(255 * c**0.5) for c in body.colour), PAINT)
+        for chart in Chart:
+            skin.fill(chart, body.colour, PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
