@@ -240,15 +240,18 @@ def _tail_lamps(
     lamps: bool,
 ) -> None:
     family = _TAIL_LAMPS[style.rear_lamp]
-    bright = rng.uniform(0.7, 1.3)
-    red: Colour = (0.75, 0.03, 0.02) if lamps else (0.34 * bright, 0.010, 0.010)
+    braking = rng.random() < 0.15
+    bright = rng.uniform(0.8, 1.5)
+    red: Colour = (0.45, 0.012, 0.012) if lamps else (0.40 * bright, 0.012, 0.012)
+    if braking:
+        red = (0.8, 0.05, 0.04)
     clear: Colour = (0.45, 0.42, 0.40)
     for side in (-1, 1):
         ring = mirrored([(share * narrow, top - down * tall) for share, down in family], side)
         smooth = rounded(ring, 0.06)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.REAR, smooth, dim(red, 0.25), LAMP)
-        skin.polygon(Chart.REAR, middle + 0.88 * (smooth - middle), red, LIT if lamps else LAMP)
+        skin.polygon(Chart.REAR, middle + 0.88 * (smooth - middle), red, LIT if lamps or braking else LAMP)
         skin.emboss(Chart.REAR, smooth, 0.014)
         low = (side * 0.86 * narrow, top - 0.72 * tall)
         if style.rear_lamp in (0, 3, 4):

@@ -119,7 +119,7 @@ def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 
     skin.polygon(chart, smooth, BLACK, GLASS)
     inner = middle + rim * (smooth - middle)
     skin.polygon(chart, inner, glass, GLASS)
-    skin.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.006, 0.02)
+    skin.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.003, 0.02)
     return np.asarray(inner)
 
 

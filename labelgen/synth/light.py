@@ -7,6 +7,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,7 +100,7 @@ class Light:
 
     @cached_property
     def around(self) -> NDArray[np.float32]:
-        """(128, 128, 3) radiance of sky, clouds, skyline and ground as paint and glass mirror them.
+        """(192, 192, 3) radiance of sky, clouds, skyline and ground as paint and glass mirror them.
 
         An octahedron unfolded: the square's middle is the zenith, its corners are the nadir, the diamond between them
         the horizon; columns run along x, rows along y.
@@ -123,10 +124,10 @@ class Light:
         return np.asarray(self.curve[at])
 
     def packed(self) -> NDArray[np.float64]:
-        """(24,) as `raster.shade` takes it."""
+        """(23,) as `raster.shade` takes it."""
         lit = 1.6 / self.exposure
         parts = (self.sun_direction, self.road_radiance, self.sun, self.horizon, self.sky_low, self.sky_high)
-        return np.concatenate([*parts, [lit], self.air, [self.saturation, self.haze_per_m]])
+        return np.concatenate([*parts, [lit], self.air, [self.saturation]])
 
 
 _RECIPES: dict[Weather, dict[str, Any]] = {
@@ -213,7 +214,7 @@ def _waves(azimuth: NDArray[Any], rng: np.random.Generator, octaves: int) -> NDA
     return total / 2
 
 
-def _surroundings(light: Light, side: int = 128) -> NDArray[np.float32]:
+def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     rng = np.random.default_rng(int(1e6 * (1 + light.sun_direction[0])))
     grid = (np.arange(side) + 0.5) / side * 2 - 1
     u, v = np.meshgrid(grid, grid)
@@ -244,4 +245,5 @@ def _surroundings(light: Light, side: int = 128) -> NDArray[np.float32]:
     ground = light.road_radiance * (1 - beside) + verge * beside
     depth = np.clip(-z * 5, 0, 1)[..., None]
     out = np.where((z < 0)[..., None], light.horizon + (ground - light.horizon) * depth, out)
-    return np.ascontiguousarray(out, dtype=np.float32)
+    # Softened, since paint is not flat; the unfolding keeps neighbours together save at the square's border.
+    return np.ascontiguousarray(cv2.GaussianBlur(out.astype(np.float32), (0, 0), 1.2))

@@ -14,7 +14,19 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHROME", "GLASS", "LAMP", "LIT", "MATTE", "PAINT", "PLATE", "shade", "visible_triangles"]
+__all__ = [
+    "CHROME",
+    "GLASS",
+    "LAMP",
+    "LIT",
+    "MATTE",
+    "PAINT",
+    "PLATE",
+    "darken",
+    "lay_over",
+    "shade",
+    "visible_triangles",
+]
 
 MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
 """Materials, as stored in the fourth channel of a skin."""
@@ -86,17 +98,9 @@ def _environment(x: float, y: float, z: float, around: _F) -> tuple[float, float
     u, v = x * scale, y * scale
     if z < 0:
         u, v = (1 - abs(v)) * (1.0 if u >= 0 else -1.0), (1 - abs(u)) * (1.0 if v >= 0 else -1.0)
-    u = min(max((0.5 * u + 0.5) * side - 0.5, 0.0), side - 1.001)
-    v = min(max((0.5 * v + 0.5) * side - 0.5, 0.0), side - 1.001)
-    column, row = int(u), int(v)
-    fu, fv = u - column, v - row
-    w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
-    a, b, c, d = around[row, column], around[row, column + 1], around[row + 1, column], around[row + 1, column + 1]
-    return (
-        w00 * a[0] + w10 * b[0] + w01 * c[0] + w11 * d[0],
-        w00 * a[1] + w10 * b[1] + w01 * c[1] + w11 * d[1],
-        w00 * a[2] + w10 * b[2] + w01 * c[2] + w11 * d[2],
-    )
+    column = min(int((0.5 * u + 0.5) * side), side - 1)
+    row = min(int((0.5 * v + 0.5) * side), side - 1)
+    return around[row, column, 0], around[row, column, 1], around[row, column, 2]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -259,11 +263,6 @@ def _light_on(
     red = red * (direct * light[6] + amb_r) * through + fresnel * er + gleam * light[6]
     green = green * (direct * light[7] + amb_g) * through + fresnel * eg + gleam * light[7]
     blue = blue * (direct * light[8] + amb_b) * through + fresnel * eb + gleam * light[8]
-    if light[23] > 0:
-        kept = math.exp(-light[23] / norm)
-        red = red * kept + light[19] * (1 - kept)
-        green = green * kept + light[20] * (1 - kept)
-        blue = blue * kept + light[21] * (1 - kept)
     return red, green, blue
 
 
@@ -273,7 +272,7 @@ def shade(
     light: _F, around: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float],
     ss: int,
 ) -> _F:  # fmt: skip
-    """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
+    """Colour of every pixel. One triangle per drawing is lit in each pixel, however many of its samples see others.
 
     Args:
         ids: what `visible_triangles` returned.
@@ -285,9 +284,10 @@ def shade(
         chart_maps: (C, 2, 4) body (x, y, z, 1) -> skin px.
         skin: (h, w, 6) uint8, `Skin.image`.
         paint: (5,) metalness, gloss, height below which light is held back (m), unused, dirt.
-        light: (24,) `Light.packed`.
+        light: (23,) `Light.packed`.
         around: (S, S, 3) float32, `Light.around`.
-        pose: (4,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height.
+        pose: (5,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height, share of
+            the light that passes the air between.
         sun_map: (h, w) uint8, `Shade.sun`; one cell where nothing stands in the sun.
         grid: (3,) `Shade.grid`.
         exposure: factor before the camera's curve.
@@ -312,13 +312,13 @@ def shade(
                     if t < 0:
                         continue
                     n += 1
-                    if t != last:
+                    if charts[t] != last:
                         x, y = origin[0] + col + (j + 0.5) / ss, origin[1] + r + (i + 0.5) / ss
                         red1, green1, blue1 = _light_on(
                             x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, around,
                             pose, sun_map, grid,
                         )  # fmt: skip
-                        last = t
+                        last = charts[t]
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
                     red += min(red1 * exposure, 4.0)
                     green += min(green1 * exposure, 4.0)
@@ -326,9 +326,63 @@ def shade(
             if n == 0:
                 continue
             alpha = n * share
+            red = red * pose[4] + (1 - pose[4]) * n * light[19] * exposure
+            green = green * pose[4] + (1 - pose[4]) * n * light[20] * exposure
+            blue = blue * pose[4] + (1 - pose[4]) * n * light[21] * exposure
             grey, colourful = 0.30 * red + 0.59 * green + 0.11 * blue, light[22]
             out[r, col, 0] = _curve((grey + colourful * (blue - grey)) / n, curve) * alpha
             out[r, col, 1] = _curve((grey + colourful * (green - grey)) / n, curve) * alpha
             out[r, col, 2] = _curve((grey + colourful * (red - grey)) / n, curve) * alpha
             out[r, col, 3] = alpha
     return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def lay_over(part: _F, layer: _F, hidden: _F) -> None:
+    """Lay a shaded layer over a part of a frame, in place.
+
+    Args:
+        part: (H, W, 3) uint8 BGR.
+        layer: (H, W, 4) float32 as `shade` returns it.
+        hidden: (H, W) uint8, 255 where something stands before the layer; (0, 0) for nothing anywhere.
+    """
+    for r in range(part.shape[0]):
+        for col in range(part.shape[1]):
+            alpha = layer[r, col, 3]
+            if alpha <= 0.002:
+                continue
+            shown = 1.0
+            if hidden.shape[0] > 0:
+                shown = 1.0 - hidden[r, col] / 255.0
+            left = 1.0 - alpha * shown
+            for k in range(3):
+                part[r, col, k] = min(255.0, part[r, col, k] * left + layer[r, col, k] * shown + 0.5)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def darken(part: _F, left: _F, cover: _F) -> None:
+    """Multiply a part of a frame by a shadow of half its size, in place.
+
+    Args:
+        part: (H, W, 3) uint8 BGR.
+        left: (h, w) uint8, share of the grey levels that is left, 255 for all; stretched over the part.
+        cover: (H, W) uint8, 255 where something stands before the shadow; (0, 0) for nothing anywhere.
+    """
+    height, width = part.shape[0], part.shape[1]
+    step_r, step_c = left.shape[0] / height, left.shape[1] / width
+    for r in range(height):
+        at = min(max((r + 0.5) * step_r - 0.5, 0.0), left.shape[0] - 1.001) if left.shape[0] > 1 else 0.0
+        r0 = int(at)
+        fr, r1 = at - r0, min(r0 + 1, left.shape[0] - 1)
+        for col in range(width):
+            at = min(max((col + 0.5) * step_c - 0.5, 0.0), left.shape[1] - 1.001) if left.shape[1] > 1 else 0.0
+            c0 = int(at)
+            if left[r0, c0] == 255 and left[r1, c0] == 255:
+                continue
+            fc, c1 = at - c0, min(c0 + 1, left.shape[1] - 1)
+            top = left[r0, c0] * (1 - fc) + left[r0, c1] * fc
+            value = top * (1 - fr) + (left[r1, c0] * (1 - fc) + left[r1, c1] * fc) * fr
+            if cover.shape[0] > 0:
+                value = max(value, cover[r, col])
+            for k in range(3):
+                part[r, col, k] = part[r, col, k] * value / 255.0 + 0.5

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.light import Light
-from labelgen.synth.raster import shade, visible_triangles
+from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
 from labelgen.synth.sensor import PLAIN, Sensor
 from labelgen.synth.shadow import GroundShadow, ground_shadow
 from labelgen.synth.still import NO_SHADE, Still
@@ -27,6 +27,7 @@ __all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
 
 _MIN_DEPTH = 1.0
 _MARGIN = 8
+_NOTHING = np.zeros((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +186,19 @@ class Renderer:
         for track_id in track_ids:
             self._shadows.pop(track_id, None)
 
-    def _cast_shadow(self, image: NDArray[np.uint8], placed: Placed) -> None:
+    def prepare(self, placed: Placed) -> None:
+        """Do now what a vehicle's first frame would have to wait for."""
+        self._shadow_of(placed)
+
+    def _shadow_of(self, placed: Placed) -> GroundShadow:
         shadow = self._shadows.get(placed.track_id)
         if shadow is None:
             shadow = ground_shadow(placed.vehicle, placed.heading, self.light)
             self._shadows[placed.track_id] = shadow
+        return shadow
+
+    def _cast_shadow(self, image: NDArray[np.uint8], placed: Placed) -> None:
+        shadow = self._shadow_of(placed)
         h, w = shadow.left.shape
         corners_map = np.array([[0, 0, 1], [w - 1, 0, 1], [w - 1, h - 1, 1], [0, h - 1, 1]], dtype=np.float64)
         corners = (corners_map @ shadow.to_body.T)[:, :2] + placed.centre_xy
@@ -209,14 +218,16 @@ class Renderer:
         left = cv2.warpPerspective(
             shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
-        left = cv2.resize(left, (x1 - x0, y1 - y0), interpolation=cv2.INTER_LINEAR)
-        clear = float(np.exp(-self.light.haze_per_m * np.hypot(*placed.centre_xy)))
+        clear = self._clear(placed)
         if clear < 0.97:  # air fills shadows up
             left = cv2.addWeighted(left, clear, left, 0.0, 255 * (1 - clear))
-        part = image[y0:y1, x0:x1]
-        if self.still is not None:  # the shadow lies on the road, behind what stands before it
-            left = cv2.max(left, self.still.cover[y0:y1, x0:x1])
-        cv2.multiply(part, cv2.merge([left, left, left]), dst=part, scale=1 / 255)
+        # The shadow lies on the road, behind what stands before it.
+        cover = _NOTHING if self.still is None else self.still.cover[y0:y1, x0:x1]
+        darken(image[y0:y1, x0:x1], left, cover)
+
+    def _clear(self, placed: Placed) -> float:
+        """Share of the light that passes the air between the vehicle and the camera."""
+        return float(np.exp(-self.light.haze_per_m * np.hypot(np.hypot(*placed.centre_xy), self.camera.height_m)))
 
     def _window(self, pixels: NDArray[Any], margin: int = 0) -> tuple[int, int, int, int] | None:
         low = np.floor(pixels.min(axis=0)).astype(int) - margin
@@ -260,7 +271,7 @@ class Renderer:
         mesh, camera = placed.vehicle.mesh, self.camera
         ss = 3 if max(size) < 120 else 2 if max(size) < 500 else 1
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
-        pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
+        pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
         layer: Any = shade(
             ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
@@ -268,11 +279,7 @@ class Renderer:
             self.light.curve, origin, ss,
         )  # fmt: skip
         layer = self._soften(layer, placed)
-        if hidden is not None:
-            layer *= (1 - hidden.astype(np.float32) / 255)[..., None]
-        part = image[y0:y1, x0:x1]
-        kept = cv2.merge([1 - layer[..., 3]] * 3)
-        part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
+        lay_over(image[y0:y1, x0:x1], layer, _NOTHING if hidden is None else hidden)
 
     def _soften(self, layer: Any, placed: Placed) -> Any:
         """Lens blur, and motion blur along the vehicle's path in the image."""

@@ -186,19 +186,27 @@ def _ground(scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane,
             inside = _soft(y - (low - extra), footprint + 0.06) * _soft(high + extra - y, footprint + 0.06)
             colour = colour * (1 - inside[..., None]) + layer * inside[..., None]
         inside = _soft(y - low + 0.3, footprint) * _soft(high + 0.3 - y, footprint)
-        wear = np.ones_like(y)
-        lanes = [low, *inner, high]
-        for a, b in pairwise(lanes):
-            middle = (a + b) / 2
-            for side in (-0.85, 0.85):
-                wear += look.tracks[0] * np.exp(-(((y - middle - side) / 0.28) ** 2))
-            wear -= look.tracks[1] * np.exp(-(((y - middle) / 0.45) ** 2))
+        wear = _wear_across(look, y, [low, *inner, high])
         colour = colour * (1 - inside[..., None]) + asphalt * (wear * inside)[..., None]
         colour = _markings(look, colour, x, y, footprint, (low, high, inner), patches + grain)
     lying, tone = surface.at(x, y, footprint)
     lying = (lying * np.clip(0.85 - 0.12 * (patches + grain), 0.2, 1))[..., None]
     colour = colour * tone[..., None] * (1 - lying) + look.paint * lying
     return np.asarray(colour, dtype=np.float32)
+
+
+def _wear_across(look: _Look, y: Plane, lanes: list[float]) -> Plane:
+    """Factor on asphalt: wheels polish two tracks per lane, oil drips between them."""
+    step = 0.02
+    at = np.arange(lanes[0] - 1.0, lanes[-1] + 1.0, step)
+    profile = np.ones_like(at, dtype=np.float32)
+    for a, b in pairwise(lanes):
+        middle = (a + b) / 2
+        for side in (-0.85, 0.85):
+            profile += look.tracks[0] * np.exp(-(((at - middle - side) / 0.28) ** 2))
+        profile -= look.tracks[1] * np.exp(-(((at - middle) / 0.45) ** 2))
+    out: Plane = profile[((y - np.float32(at[0])) * np.float32(1 / step)).astype(np.int32).clip(0, len(at) - 1)]
+    return out
 
 
 def _markings(

@@ -47,6 +47,7 @@ class Sensor:
         lines: share of the frame's lines and columns that the sensor has; 1 for all.
         smear: sigma of the colours' blur along lines, share of the frame's width; 0 for none.
         sharpen: strength of the halos that sharpening leaves; 0 for none.
+        peaking: strength of the halos along lines alone, as analogue cameras make them.
         crf: quality of the H.264 stream; higher is worse.
         captions: text in the picture.
         start_s: time of day at the first frame.
@@ -55,6 +56,7 @@ class Sensor:
     lines: float = 1.0
     smear: float = 0.0
     sharpen: float = 0.0
+    peaking: float = 0.0
     crf: int = 21
     captions: tuple[Caption, ...] = ()
     start_s: float = 0.0
@@ -76,6 +78,9 @@ class Sensor:
         if self.sharpen:
             sigma = 0.8 / max(self.lines, 0.3)
             out = cv2.addWeighted(out, 1 + self.sharpen, cv2.GaussianBlur(out, (0, 0), sigma), -self.sharpen, 0)
+        if self.peaking:
+            wide = (2 * round(1.5 / max(self.lines, 0.3)) + 1, 1)
+            out = cv2.addWeighted(out, 1 + self.peaking, cv2.blur(out, wide), -self.peaking, 0)
         return np.asarray(out, dtype=np.uint8)
 
     def write(self, image: NDArray[np.uint8], time_s: float) -> None:
@@ -110,9 +115,10 @@ def make_sensor(rng: np.random.Generator) -> Sensor:
         return Sensor(crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
     if style < 0.8:
         sharp = rng.uniform(0.3, 1.3)
-        return Sensor(rng.uniform(0.6, 1.0), 0.0, sharp, int(rng.integers(20, 30)), captions, start)
-    coarse = rng.uniform(0.3, 0.6)
-    return Sensor(coarse, rng.uniform(0.002, 0.008), rng.uniform(0.4, 1.8), int(rng.integers(20, 32)), captions, start)
+        return Sensor(rng.uniform(0.6, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start)
+    coarse, smear = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
+    sharp, peaking = rng.uniform(0.0, 1.2), rng.uniform(0.3, 2.0)
+    return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start)
 
 
 def _captions(rng: np.random.Generator) -> tuple[Caption, ...]:

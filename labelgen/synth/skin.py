@@ -18,8 +18,9 @@ from labelgen.synth.mesh import Chart
 
 __all__ = ["Colour", "Skin", "dim", "rounded"]
 
-PPM = 96
-"""Skin pixels per metre."""
+_PPM, _PPM_LONG = 96, 56
+"""Skin pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
+_LONG_M = 6.5
 _FINE_PX, _SOFT_PX = 1.2, 6.0
 
 Colour = tuple[float, float, float]
@@ -34,9 +35,10 @@ class Skin:
 
     def __init__(self, extent_lwh: Sequence[float]) -> None:
         length, width, height = extent_lwh
-        wide = int(np.ceil(max(length, width) * PPM)) + 2
+        self.ppm = _PPM if length < _LONG_M else _PPM_LONG
+        wide = int(np.ceil(max(length, width) * self.ppm)) + 2
         rows = [height, width, height, height, height, 0.1, 0.1]
-        tops = np.cumsum([0] + [int(np.ceil(r * PPM)) + 2 for r in rows])
+        tops = np.cumsum([0] + [int(np.ceil(r * self.ppm)) + 2 for r in rows])
         self._colours = np.zeros((tops[-1], wide, 4), dtype=np.uint8)
         self._relief = [np.zeros((tops[-1], wide), dtype=np.float32) for _ in range(2)]
         self.maps = np.zeros((len(Chart), 2, 4))
@@ -47,7 +49,7 @@ class Skin:
         self.maps[Chart.TOP] = [[-1, 0, 0, length / 2], [0, -1, 0, width / 2]]
         self.maps[Chart.FRONT] = [[0, 1, 0, width / 2], [0, 0, -1, height]]
         self.maps[Chart.REAR] = [[0, -1, 0, width / 2], [0, 0, -1, height]]
-        self.maps *= PPM
+        self.maps *= self.ppm
         self.maps[:, 1, 3] += tops[:-1]
 
     def _pixels(self, chart: Chart, points: Any) -> NDArray[np.int32]:
@@ -58,7 +60,7 @@ class Skin:
             u, v = p[:, 0] + self._width / 2, self._height - p[:, 1]
         else:
             u, v = p[:, 0], self._height - p[:, 1]
-        pixels = np.stack([u * PPM, v * PPM], axis=1)
+        pixels = np.stack([u * self.ppm, v * self.ppm], axis=1)
         return np.round(pixels * 16 - 8).astype(np.int32)
 
     def _rows(self, chart: Chart) -> slice:
@@ -89,7 +91,7 @@ class Skin:
     def line(self, chart: Chart, points: Any, colour: Colour, material: int, width: float = 0.012) -> None:
         """Paint a line of a width in metres."""
         view = self._colours[self._rows(chart)]
-        thick = max(1, round(width * PPM))
+        thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, _texel(colour, material), thick, cv2.LINE_8, 4)
 
     def emboss(self, chart: Chart, points: Any, height: float, *, soft: bool = False) -> None:
@@ -100,7 +102,7 @@ class Skin:
     def groove(self, chart: Chart, points: Any, depth: float = 0.008, width: float = 0.016) -> None:
         """A gap between panels, or a crease when the depth is negative."""
         view = self._relief[0][self._rows(chart)]
-        thick = max(1, round(width * PPM))
+        thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, -depth, thick, cv2.LINE_8, 4)
 
     @cached_property
@@ -116,7 +118,7 @@ class Skin:
                 continue
             height = cv2.GaussianBlur(fine, (0, 0), _FINE_PX) + cv2.GaussianBlur(soft, (0, 0), _SOFT_PX)
             for channel, (dx, dy) in ((4, (1, 0)), (5, (0, 1))):
-                slope = cv2.Sobel(height, cv2.CV_32F, dx, dy, ksize=3, scale=PPM / 8)
+                slope = cv2.Sobel(height, cv2.CV_32F, dx, dy, ksize=3, scale=self.ppm / 8)
                 out[rows, :, channel] = (128 + 100 * slope).clip(0, 255).round().astype(np.uint8)
         return out
 
@@ -132,7 +134,7 @@ class Skin:
                 # Materials do not mix.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
                 self._levels.append((half, maps / 2))
-        number = int(np.clip(np.floor(np.log2(max(metres_per_px * PPM, 1.0)) + 0.6), 0, 4))
+        number = int(np.clip(np.floor(np.log2(max(metres_per_px * self.ppm, 1.0)) + 0.6), 0, 4))
         return self._levels[number]
 
 

@@ -26,7 +26,7 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.14, 0.145, 0.15), 0.6, 0.19),
     ((0.018, 0.018, 0.020), 0.3, 0.18),
-    ((0.025, 0.05, 0.16), 0.5, 0.10),
+    ((0.022, 0.036, 0.10), 0.5, 0.09),
     ((0.10, 0.17, 0.30), 0.6, 0.03),
     ((0.36, 0.022, 0.022), 0.2, 0.06),
     ((0.03, 0.10, 0.05), 0.3, 0.02),
@@ -97,6 +97,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
         draw_motorcycle(skin, body.shape, body.colour, rng, lamps=lamps)
     else:
         skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
+    skin.level(0.0)  # every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
     return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
 

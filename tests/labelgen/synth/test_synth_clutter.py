@@ -142,7 +142,7 @@ def test_the_same_seed_gives_the_same_picture() -> None:
 def test_a_camera_changes_pixels_and_no_truth() -> None:
     captions = (Caption("{clock} CAM", (0.02, 0.1), 0.05, 0, True, True),)
     plain, _ = renderer_behind([])
-    faulty, _ = renderer_behind([], sensor=Sensor(0.5, 0.005, 1.0, 28, captions, 3600.0))
+    faulty, _ = renderer_behind([], sensor=Sensor(0.5, 0.005, 1.0, 0.5, 28, captions, 3600.0))
     a, b = plain.frame([car(25.0, 0.0)]), faulty.frame([car(25.0, 0.0)])
     assert np.array_equal(a[1][0].mask, b[1][0].mask)
     assert not np.array_equal(a[0], b[0])
