@@ -32,7 +32,7 @@ def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
     """Screen, bonnet edge, lamps, grille, bumper and plate."""
     half, nose = shape.width / 2, shape.nose
     narrow = half * (1 - shape.corner)
-    foot = shape.clearance + 0.06
+    foot = shape.clearance + 0.09
     bumper_top = nose - rng.uniform(0.26, 0.34)
     skin.rectangle(Chart.FRONT, (-half, 0), (half, foot + style.cladding), TRIM, MATTE)
     if style.dark_bumpers:
@@ -78,10 +78,10 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         if style.chrome:
             skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), CHROME_TONE, CHROME, 0.022)
 
-    deep = rng.uniform(0.08, 0.16)
+    deep = rng.uniform(0.12, 0.22)
     lower = (foot, min(foot + deep, bumper_top - 0.06))
     if family == 0:  # a bar between the lamps, a wide mouth below
-        opening(rng.uniform(0.42, 0.6) * narrow, top - rng.uniform(0.10, 0.16), top)
+        opening(rng.uniform(0.45, 0.6) * narrow, top - rng.uniform(0.12, 0.2), top)
         opening(0.66 * narrow, *lower, 0.05)
     elif family == 1:  # one tall mouth through the bumper
         opening(rng.uniform(0.34, 0.46) * narrow, foot + 0.03, top, 0.08)
@@ -95,7 +95,7 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
             skin.line(Chart.FRONT, rounded([*ring, ring[0]]), CHROME_TONE, CHROME, 0.02)
         opening(0.6 * narrow, *lower)
     elif family == 3:  # a slot above, a big mouth below
-        opening(0.5 * narrow, top - 0.05, top)
+        opening(0.5 * narrow, top - 0.07, top)
         opening(0.72 * narrow, foot, bumper_top - 0.02, 0.12)
     elif family == 4:  # upright bars
         opening(0.56 * narrow, top - 0.2, top)
@@ -120,7 +120,7 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
         smooth = rounded(ring)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.FRONT, smooth, BLACK, MATTE)
-        skin.polygon(Chart.FRONT, middle + 0.93 * (smooth - middle), (0.16, 0.165, 0.175), LAMP)
+        skin.polygon(Chart.FRONT, middle + 0.9 * (smooth - middle), (0.085, 0.088, 0.095), LAMP)
         skin.emboss(Chart.FRONT, smooth, 0.012)
         for shift, size in ((0.0, 0.062), (0.11, 0.05)):
             spot = (float(middle[0]) - side * shift, float(middle[1]))
@@ -131,7 +131,7 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
         inner = min(share for share, _ in shapes)
         ys = (side * inner * narrow, side * 1.08 * narrow)
         on_top = np.array([(0.02, ys[0]), (0.10, ys[0]), (0.34, ys[1]), (0.02, ys[1])])
-        skin.polygon(Chart.TOP, on_top, (0.20, 0.205, 0.215), LAMP)
+        skin.polygon(Chart.TOP, on_top, (0.10, 0.103, 0.11), LAMP)
         centre = on_top.mean(axis=0)
         skin.polygon(Chart.TOP, centre + 0.5 * (on_top - centre), _REFLECTOR, LAMP)
     down = [d for _, d in shapes]

@@ -181,8 +181,8 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         for y in (edge, -edge):
             skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.4), PAINT, 0.02)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
-    if sunroof < 0.22 and shape.kind not in ("van", "bus") and shape.cargo is None:
-        long = 0.75 if sunroof < 0.12 else roof[1] - roof[0] - 0.3
+    if sunroof < 0.13 and shape.kind not in ("van", "bus") and shape.cargo is None:
+        long = 0.75 if sunroof < 0.08 else roof[1] - roof[0] - 0.3
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
         skin.polygon(Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.008, 0.009, 0.009), GLASS)
     if shape.kind == "van":

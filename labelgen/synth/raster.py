@@ -188,7 +188,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
     if material == GLASS:
         if sharp:
             gleam = 25.0 * toward_sun**600
-        return 0.11 + 0.89 * away * away * away * away, gleam, 0.0, 0.5
+        return 0.085 + 0.915 * away * away * away * away, gleam, 0.0, 0.5
     if material == LAMP:
         if sharp:
             gleam = 10.0 * toward_sun**200

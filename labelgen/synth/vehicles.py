@@ -22,7 +22,7 @@ __all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.70, 0.71, 0.70), 0.0, 0.20),
+    ((0.64, 0.65, 0.64), 0.0, 0.20),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.14, 0.145, 0.15), 0.6, 0.19),
     ((0.018, 0.018, 0.020), 0.3, 0.18),
