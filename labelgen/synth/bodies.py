@@ -13,7 +13,7 @@ from labelgen.synth.shapes import Shape
 
 __all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line"]
 
-MIRROR = 0.025
+MIRROR = 0.01
 """How far a wing mirror stands out from the body, metres."""
 _FINE = 0.01
 
