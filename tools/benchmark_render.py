@@ -48,27 +48,34 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     """Render `frames` frames that show `vehicles` vehicles each.
 
     Returns:
-        fps, ms per frame, and ms per frame by stage.
+        fps, ms per frame, ms per frame by stage, and ms once per vehicle for its skin and shadow.
     """
     import numpy as np
 
     from labelgen.synth import render
     from labelgen.synth.light import Weather, make_light
-    from labelgen.synth.road import draw_road
+    from labelgen.synth.road import draw_scene
     from labelgen.synth.scenes import procedural_scene
     from labelgen.synth.traffic import random_traffic
+    from labelgen.synth.vehicles import make_vehicle
     from labelgen.synth.video import VideoWriter
 
     rng = np.random.default_rng([seed, 1])
     scene = procedural_scene(rng, size_wh)
     light = make_light(Weather.DAY, rng)
-    background = draw_road(scene, light, rng)
+    background, still = draw_scene(scene, light, rng)
     trips = random_traffic(scene, 600.0, seed, per_minute=60)
-    renderer = render.Renderer(scene.camera, background, light, seed=seed)
+    renderer = render.Renderer(scene.camera, background, light, seed=seed, still=still)
     batches = _busy_moments(renderer, trips, scene, vehicles, frames)
     count = len(batches)
     if not count:
         raise DataError(f"--vehicles {vehicles}: this scene never shows so many; use fewer or another --seed")
+    start = time.process_time()
+    bodies = {p.track_id: p for placed in batches for p in placed}
+    for p in bodies.values():
+        make_vehicle(p.vehicle.kind, np.random.default_rng(p.track_id))
+        renderer.prepare(p)
+    prepare = 1000 * (time.process_time() - start) / len(bodies)
     for placed in batches[:3]:
         renderer.frame(placed)
     stages = _Stages()
@@ -94,6 +101,7 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
         "vehicle_pixels_per_frame": pixels // count,
         "fps": count / total,
         "ms_per_frame": 1000 * total / count,
+        "ms_per_vehicle": prepare,
         "stages_ms": {k: 1000 * v / count for k, v in sorted(stages.spent.items(), key=lambda kv: -kv[1])},
     }
 
@@ -144,6 +152,7 @@ def main(
         f"{found['fps']:.1f} frames/s ({found['ms_per_frame']:.1f} ms per frame), {size}, {found['vehicles']} vehicles"
     )
     typer.echo(f"{found['vehicle_pixels_per_frame']} vehicle pixels per frame, {found['frames']} frames, one core")
+    typer.echo(f"{found['ms_per_vehicle']:.0f} ms once per vehicle for its skin and shadow, not counted above")
     for name, ms in found["stages_ms"].items():
         typer.echo(f"{name:>20} {ms:7.2f} ms")
     if json_file is not None:

@@ -13,7 +13,7 @@ from labelgen.synth.shapes import Shape
 
 __all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line"]
 
-MIRROR = 0.07
+MIRROR = 0.01
 """How far a wing mirror stands out from the body, metres."""
 _FINE = 0.01
 
@@ -61,7 +61,7 @@ def _half_width(shape: Shape, d: NDArray[Any]) -> NDArray[np.float64]:
 
 def cabin_edge(shape: Shape, half_width: Any, z: Any) -> Any:
     """Half-width of the body at a height above the belt, where windows lean inwards."""
-    return 0.955 * half_width - shape.tumble * np.maximum(z - shape.belt, 0)
+    return 0.93 * half_width - shape.tumble * np.maximum(z - shape.belt, 0)
 
 
 def _stations(shape: Shape) -> NDArray[np.float64]:
@@ -85,7 +85,7 @@ def _shell(shape: Shape) -> Mesh:
     above = np.maximum(z_top - 0.05 - shoulder, 0)
     edge = cabin_edge(shape, half, z_top - 0.05)
     # Where there is no cabin the top curves over to the bonnet or boot lid.
-    edge = np.minimum(edge, 0.955 * half - 0.03)
+    edge = np.minimum(edge, 0.93 * half - 0.03)
     inner = edge - np.minimum(0.11, 0.06 + 0.05 * above)
     columns = [
         (np.zeros_like(d), low),
@@ -94,8 +94,8 @@ def _shell(shape: Shape) -> Mesh:
         (0.985 * half, low + 0.16),
         (half, middle),
         (0.992 * half, 0.5 * (middle + shoulder)),
-        (0.975 * half, shoulder),
-        (0.945 * half, shoulder + np.minimum(0.035, 0.5 * (z_top - shoulder))),
+        (0.965 * half, shoulder),
+        (0.935 * half, shoulder + np.minimum(0.035, 0.5 * (z_top - shoulder))),
         (edge, z_top - 0.045),
         (inner, z_top - 0.012),
         (0.55 * inner, z_top - 0.003),
@@ -110,8 +110,8 @@ def _mirrors(shape: Shape) -> list[Mesh]:
     x, out = shape.length / 2 - d, shape.width / 2
     tall = 0.10 if shape.cargo is None and shape.kind != "bus" else 0.35
     z = shape.belt + 0.02
-    lows = [(x - 0.04, -out - MIRROR, z), (x - 0.04, out - 0.06, z)]
-    return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.06, z + tall), chart=Chart.MIRROR) for low in lows]
+    lows = [(x - 0.04, -out - MIRROR, z), (x - 0.04, out - 0.11, z)]
+    return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.11, z + tall), chart=Chart.MIRROR) for low in lows]
 
 
 def body_mesh(shape: Shape) -> Mesh:

@@ -1,17 +1,23 @@
-"""Weather: where the sun stands, how bright sky and road are, and what the camera makes of it."""
+"""Weather and camera: where the sun stands, how bright sky and road are, and what the camera makes of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import LabelgenError
 
-__all__ = ["Light", "Weather", "make_light"]
+__all__ = ["Light", "Weather", "make_light", "varied_light"]
+
+
+CURVE_STEPS = 1024
+LUMA = np.array([0.30, 0.59, 0.11], dtype=np.float32)
 
 
 class Weather(StrEnum):
@@ -46,6 +52,10 @@ class Light:
         noise: standard deviation of the sensor's noise in grey levels.
         shutter_s: exposure time.
         lamps: whether vehicles have their lamps on.
+        haze_per_m: share of the light that a metre of air takes away, and fills up with its own.
+        saturation: 1 keeps colours, 0 is grey.
+        contrast: steepness of the camera's curve around middle grey.
+        lift: grey level, 0 to 1, to which black is raised.
     """
 
     weather: Weather
@@ -59,6 +69,10 @@ class Light:
     noise: float
     shutter_s: float
     lamps: bool
+    haze_per_m: float = 0.0
+    saturation: float = 1.0
+    contrast: float = 1.0
+    lift: float = 0.0
 
     @property
     def ambient(self) -> NDArray[np.float64]:
@@ -70,11 +84,50 @@ class Light:
         """(3,) radiance of sunlit asphalt."""
         return np.asarray(self.road * (self.sun * max(self.sun_direction[2], 0.0) + self.ambient))
 
+    @property
+    def air(self) -> NDArray[np.float64]:
+        """(3,) radiance of thick haze."""
+        return np.asarray(0.7 * self.sky_low + 0.3 * self.ambient)
+
+    @cached_property
+    def curve(self) -> NDArray[np.float32]:
+        """Linear light, 0 to 4 in steps of 1 / `CURVE_STEPS`, to 0-255: a camera's gamma with a soft shoulder."""
+        value = np.arange(4 * CURVE_STEPS + 2) / CURVE_STEPS
+        value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value) ** (1 / 2.2)
+        middle = 0.45
+        steep = middle + self.contrast * (value - middle)
+        return np.asarray(255 * (self.lift + (1 - self.lift) * steep.clip(0, 1)), dtype=np.float32)
+
+    @cached_property
+    def around(self) -> NDArray[np.float32]:
+        """(192, 192, 3) radiance of sky, clouds, skyline and ground as paint and glass mirror them.
+
+        An octahedron unfolded: the square's middle is the zenith, its corners are the nadir, the diamond between them
+        the horizon; columns run along x, rows along y.
+        """
+        return _surroundings(self)
+
+    def through_air(self, radiance: Any, distance_m: Any) -> Any:
+        """Radiance (..., 3) as it arrives from a distance (..., 1)."""
+        if not self.haze_per_m:
+            return radiance
+        kept = np.exp(np.float32(-self.haze_per_m) * distance_m)
+        return radiance * kept + self.air.astype(np.float32) * (1 - kept)
+
+    def grey_levels(self, radiance: Any) -> NDArray[np.float32]:
+        """Radiance (..., 3) RGB to what the camera gives, 0-255."""
+        exposed = np.asarray(radiance, dtype=np.float32) * np.float32(self.exposure)
+        if self.saturation != 1:
+            grey = exposed @ LUMA
+            exposed = grey[..., None] + np.float32(self.saturation) * (exposed - grey[..., None])
+        at = (np.clip(exposed, 0, 4) * CURVE_STEPS).astype(np.int32)
+        return np.asarray(self.curve[at])
+
     def packed(self) -> NDArray[np.float64]:
-        """(19,) as `raster.shade` takes it."""
+        """(23,) as `raster.shade` takes it."""
         lit = 1.6 / self.exposure
         parts = (self.sun_direction, self.road_radiance, self.sun, self.horizon, self.sky_low, self.sky_high)
-        return np.append(np.concatenate(parts), lit)
+        return np.concatenate([*parts, [lit], self.air, [self.saturation]])
 
 
 _RECIPES: dict[Weather, dict[str, Any]] = {
@@ -122,3 +175,75 @@ def make_light(weather: Weather, rng: np.random.Generator) -> Light:
         recipe["shutter"],
         weather in (Weather.DUSK, Weather.RAIN),
     )
+
+
+def varied_light(light: Light, rng: np.random.Generator) -> Light:
+    """The same weather over another road, through other air and another camera, as recordings differ.
+
+    New and old asphalt, pale concrete; clear and hazy air; cameras that are steep, flat, colourful, pale or tinted.
+    """
+    tone = float(np.exp(rng.normal(0, 0.25))) if rng.random() < 0.75 else rng.uniform(1.5, 2.4)
+    road = light.road * tone * rng.normal(1, 0.02, 3)
+    # Automatic exposure holds back part of the difference.
+    before = float(light.road_radiance.mean())
+    after = float(replace(light, road=road).road_radiance.mean())
+    hazy = rng.random() < 0.22
+    cast = rng.normal(1, 0.035 if rng.random() < 0.3 else 0.012, 3)
+    flat = not hazy and rng.random() < 0.2
+    return replace(
+        light,
+        road=road,
+        sun=light.sun * cast * rng.uniform(0.8, 1.25),
+        sky_low=light.sky_low * cast,
+        sky_high=light.sky_high * cast,
+        horizon=light.horizon * cast,
+        exposure=light.exposure * (before / after) ** 0.5 * rng.uniform(0.85, 1.25),
+        noise=light.noise * rng.uniform(0.5, 1.8),
+        haze_per_m=rng.uniform(0.002, 0.010) if hazy else rng.uniform(0, 0.0015),
+        saturation=rng.uniform(0.0, 0.6) if rng.random() < 0.17 else rng.uniform(0.8, 1.4),
+        contrast=rng.uniform(0.6, 0.85) if flat else rng.uniform(1.0, 1.4),
+        lift=rng.uniform(0.02, 0.15) if flat else 0.0,
+    )
+
+
+def _waves(azimuth: NDArray[Any], rng: np.random.Generator, octaves: int) -> NDArray[np.float64]:
+    """Periodic noise around the horizon, about -1 to 1."""
+    total = np.zeros_like(azimuth)
+    for k in range(octaves):
+        total += np.sin((2 * k + 2) * azimuth + rng.uniform(0, 2 * np.pi)) / (1 + 0.5 * k)
+    return total / 2
+
+
+def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
+    rng = np.random.default_rng(int(1e6 * (1 + light.sun_direction[0])))
+    grid = (np.arange(side) + 0.5) / side * 2 - 1
+    u, v = np.meshgrid(grid, grid)
+    z = 1 - np.abs(u) - np.abs(v)
+    fold = np.clip(-z, 0, None)
+    x, y = u - np.sign(u) * fold, v - np.sign(v) * fold
+    norm = np.sqrt(x * x + y * y + z * z)
+    x, y, z = x / norm, y / norm, z / norm
+    azimuth = np.arctan2(y, x)
+    climb = np.sqrt(np.clip(z, 0, 1))[..., None]
+    out = light.sky_low + (light.sky_high - light.sky_low) * climb
+    # Clouds: bright patches under a clear sky, darker ones under a grey one.
+    with np.errstate(divide="ignore"):
+        flat_x, flat_y = x / np.maximum(z, 0.08), y / np.maximum(z, 0.08)
+    puffs = np.zeros_like(z)
+    for scale in (0.9, 1.9, 4.1):
+        a, b, c = rng.uniform(0, 2 * np.pi, 3)
+        puffs += np.sin(scale * flat_x + a + np.sin(scale * flat_y + b)) * np.cos(scale * flat_y + c) / scale**0.5
+    cloud = np.clip(puffs - rng.uniform(-0.4, 0.9), 0, 1)[..., None]
+    white = 0.45 * (light.sun + light.ambient) if light.sun.max() > 0.3 else 0.75 * light.sky_low
+    out = out + (white - out) * cloud * 0.8
+    # Woods and houses, lower where the road runs.
+    skyline = (0.14 + 0.12 * _waves(azimuth, rng, 7)) * (0.25 + 0.75 * np.abs(np.sin(azimuth)))
+    dark = light.horizon * (1 + 0.5 * _waves(azimuth * 3, rng, 5))[..., None]
+    out = np.where((z < skyline)[..., None], dark, out)
+    verge = 0.5 * light.road_radiance + 0.5 * light.horizon
+    beside = np.clip(np.abs(np.sin(azimuth)) * 3 * (1 + z) - 0.6, 0, 1)[..., None]
+    ground = light.road_radiance * (1 - beside) + verge * beside
+    depth = np.clip(-z * 5, 0, 1)[..., None]
+    out = np.where((z < 0)[..., None], light.horizon + (ground - light.horizon) * depth, out)
+    # Softened, since paint is not flat; the unfolding keeps neighbours together save at the square's border.
+    return np.ascontiguousarray(cv2.GaussianBlur(out.astype(np.float32), (0, 0), 1.2))

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Chart", "Mesh", "box_mesh", "join", "loft", "wheel_mesh"]
+__all__ = ["Chart", "Mesh", "box_mesh", "join", "loft", "tube_mesh", "wheel_mesh"]
 
 
 class Chart(IntEnum):
@@ -129,6 +129,42 @@ def box_mesh(low: Sequence[float], high: Sequence[float], *, chart: Chart | None
     triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
     charts = _charts_by_normal(corners, triangles) if chart is None else int(chart)
     return _with_normals(corners, triangles, charts, 30.0)
+
+
+def tube_mesh(
+    spine: Sequence[Sequence[float]], radii: Sequence[float], *, chart: Chart | None = None, sides: int = 10
+) -> Mesh:
+    """Round body along a polyline of three or more points, closed at its ends: limbs, helmets, tanks.
+
+    Args:
+        spine: (S, 3) metres.
+        radii: (S,) metres.
+        sides: corners of each ring.
+        chart: which drawing it shows; by the faces' directions when None.
+    """
+    points = np.asarray(spine, dtype=np.float64)
+    along = np.gradient(points, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    helper = np.where(np.abs(along[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    across = np.cross(along, helper)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    other = np.cross(along, across)
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ring = np.cos(angle)[None, :, None] * across[:, None] + np.sin(angle)[None, :, None] * other[:, None]
+    rings = points[:, None] + ring * np.asarray(radii, dtype=np.float64)[:, None, None]
+    vertices = np.concatenate([rings.reshape(-1, 3), points[[0, -1]]])
+    count = len(points)
+    i, j = np.meshgrid(np.arange(count - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    around = np.stack([a, b, b + sides, a, b + sides, a + sides], axis=-1).reshape(-1, 3)
+    k = np.arange(sides)
+    first, last = count * sides, count * sides + 1
+    start = np.stack([np.full(sides, first), (k + 1) % sides, k], axis=1)
+    base = (count - 1) * sides
+    end = np.stack([np.full(sides, last), base + k, base + (k + 1) % sides], axis=1)
+    triangles = np.concatenate([around, start, end])
+    charts = _charts_by_normal(vertices, triangles) if chart is None else int(chart)
+    return _with_normals(vertices, triangles, charts, 60.0)
 
 
 def wheel_mesh(x: float, y_out: float, radius: float, width: float, side: int, *, steps: int = 20) -> Mesh:

@@ -14,7 +14,19 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHROME", "CURVE", "GLASS", "LAMP", "LIT", "MATTE", "PAINT", "PLATE", "shade", "visible_triangles"]
+__all__ = [
+    "CHROME",
+    "GLASS",
+    "LAMP",
+    "LIT",
+    "MATTE",
+    "PAINT",
+    "PLATE",
+    "darken",
+    "lay_over",
+    "shade",
+    "visible_triangles",
+]
 
 MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
 """Materials, as stored in the fourth channel of a skin."""
@@ -79,38 +91,16 @@ def visible_triangles(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _environment(x: float, y: float, z: float, light: _F) -> tuple[float, float, float]:
-    """Radiance of sky, horizon and road from a direction in the road frame."""
-    if z < 0.0:
-        k = min(1.0, -z * 4.0)
-        return (
-            light[9] + (light[3] - light[9]) * k,
-            light[10] + (light[4] - light[10]) * k,
-            light[11] + (light[5] - light[11]) * k,
-        )
-    # A wavy line of trees and houses, then sky that darkens towards the zenith.
-    skyline = 0.10 + 0.05 * math.sin(5.0 * x + 1.3) * math.sin(4.0 * y) + 0.03 * math.sin(13.0 * x - 7.0 * y)
-    if z < skyline:
-        return light[9], light[10], light[11]
-    k = math.sqrt(min(1.0, z))
-    return (
-        light[12] + (light[15] - light[12]) * k,
-        light[13] + (light[16] - light[13]) * k,
-        light[14] + (light[17] - light[14]) * k,
-    )
-
-
-_CURVE_STEPS = 1024
-
-
-def _camera_curve() -> _F:
-    """Linear light, 0 to 4 in steps of 1 / 1024, to 0-255: a camera's gamma with a soft shoulder."""
-    value = np.arange(4 * _CURVE_STEPS + 2) / _CURVE_STEPS
-    value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value)
-    return np.asarray(255 * value ** (1 / 2.2), dtype=np.float32)
-
-
-CURVE = _camera_curve()
+def _environment(x: float, y: float, z: float, around: _F) -> tuple[float, float, float]:
+    """Radiance that comes from a direction in the road frame."""
+    side = around.shape[0]
+    scale = 1.0 / (abs(x) + abs(y) + abs(z) + 1e-9)
+    u, v = x * scale, y * scale
+    if z < 0:
+        u, v = (1 - abs(v)) * (1.0 if u >= 0 else -1.0), (1 - abs(u)) * (1.0 if v >= 0 else -1.0)
+    column = min(int((0.5 * u + 0.5) * side), side - 1)
+    row = min(int((0.5 * v + 0.5) * side), side - 1)
+    return around[row, column, 0], around[row, column, 1], around[row, column, 2]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -120,14 +110,11 @@ def _curve(value: float, curve: _F) -> float:
     return float(curve[low] + (at - low) * (curve[low + 1] - curve[low]))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _light_on(
-    x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F,
-    paint: _F, light: _F, pose: _F,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Radiance of triangle t as seen at frame px x, y; arguments as in `shade`."""
-    heading = pose[0]
-    sun_x, sun_y, sun_z = light[0] * heading, light[1] * heading, light[2]
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _surface(
+    x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F
+) -> tuple[float, float, float, float, float, float]:
+    """Body-frame point and unit normal of triangle t at frame px x, y, by perspective-correct weights."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     ax, ay, bx, by = screen[a, 0] - x, screen[a, 1] - y, screen[b, 0] - x, screen[b, 1] - y
     cx, cy = screen[c, 0] - x, screen[c, 1] - y
@@ -143,29 +130,105 @@ def _light_on(
     ny = wa * normals[t, 0, 1] + wb * normals[t, 1, 1] + wc * normals[t, 2, 1]
     nz = wa * normals[t, 0, 2] + wb * normals[t, 1, 2] + wc * normals[t, 2, 2]
     norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
-    nx, ny, nz = nx * norm, ny * norm, nz * norm
+    return px, py, pz, nx * norm, ny * norm, nz * norm
 
-    m = charts[t]
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _on_skin(px: float, py: float, pz: float, m: int, chart_maps: _F, skin: _F) -> tuple[float, float]:
+    """Where a body-frame point lies on the skin, px, kept inside it."""
     u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
-    iu = min(max(int(u), 0), skin.shape[1] - 1)
-    iv = min(max(int(v), 0), skin.shape[0] - 1)
-    material = skin[iv, iu, 3]
-    # Colours between the four nearest texels, so that edges drawn on the skin come out smooth.
-    u, v = min(max(u - 0.5, 0.0), skin.shape[1] - 1.001), min(max(v - 0.5, 0.0), skin.shape[0] - 1.001)
+    return min(max(u, 0.0), skin.shape[1] - 1.001), min(max(v, 0.0), skin.shape[0] - 1.001)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _texel(u: float, v: float, skin: _F) -> tuple[float, float, float, float, float]:
+    """Albedo and slopes at a place of the skin, between the four nearest texels."""
+    u, v = max(u - 0.5, 0.0), max(v - 0.5, 0.0)
     iu, iv = int(u), int(v)
     fu, fv = u - iu, v - iv
     w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
     iu1, iv1 = min(iu + 1, skin.shape[1] - 1), min(iv + 1, skin.shape[0] - 1)
-    red, green, blue = 0.0, 0.0, 0.0
+    red, green, blue, along, down = 0.0, 0.0, 0.0, -1.28, -1.28
     for tu, tv, share in ((iu, iv, w00), (iu1, iv, w10), (iu, iv1, w01), (iu1, iv1, w11)):
         red += share * skin[tv, tu, 0]
         green += share * skin[tv, tu, 1]
         blue += share * skin[tv, tu, 2]
-    red, green, blue = red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0
+        along += 0.01 * share * skin[tv, tu, 4]
+        down += 0.01 * share * skin[tv, tu, 5]
+    return red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0, along, down
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _tilted(
+    nx: float, ny: float, nz: float, along: float, down: float, m: int, chart_maps: _F
+) -> tuple[float, float, float]:
+    """A unit normal on sheet metal that rises by `along` and `down` per metre in the drawing's two directions."""
+    a0, a1, a2 = chart_maps[m, 0, 0], chart_maps[m, 0, 1], chart_maps[m, 0, 2]
+    b0, b1, b2 = chart_maps[m, 1, 0], chart_maps[m, 1, 1], chart_maps[m, 1, 2]
+    scale = 1.0 / (abs(a0) + abs(a1) + abs(a2) + 1e-9)
+    nx -= scale * (along * a0 + down * b0)
+    ny -= scale * (along * a1 + down * b1)
+    nz -= scale * (along * a2 + down * b2)
+    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
+    return nx * norm, ny * norm, nz * norm
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[float, float, float, float]:
+    """Mirrored share, sun's gleam, its wide glow on metal flakes, and the share of sunlight that is scattered."""
+    sharp = toward_sun > 0.8
+    fifth = away * away * away * away * away
+    gleam = 0.0
+    if material == PAINT:
+        squared = toward_sun * toward_sun * toward_sun
+        if sharp:
+            gleam = paint[1] * 26.0 * toward_sun**260
+        return (0.055 + 0.945 * fifth) * paint[1], gleam, paint[0] * 0.8 * squared * squared * squared * squared, 1.0
+    if material == GLASS:
+        if sharp:
+            gleam = 25.0 * toward_sun**600
+        return 0.085 + 0.915 * away * away * away * away, gleam, 0.0, 0.5
+    if material == LAMP:
+        if sharp:
+            gleam = 10.0 * toward_sun**200
+        return 0.10 + 0.9 * fifth, gleam, 0.0, 1.0
+    if material == CHROME:
+        if sharp:
+            gleam = 6.0 * toward_sun**80
+        return 0.55, gleam, 0.0, 0.4
+    return 0.25 * (0.055 + 0.945 * fifth), 0.0, 0.0, 1.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sunlit(px: float, py: float, pz: float, light: _F, pose: _F, sun_map: _F, grid: _F) -> float:
+    """Share of the sun that reaches a body-frame point: what reaches the road where its shadow falls."""
+    if sun_map.shape[0] == 1:
+        return 1.0
+    reach = pz / max(light[2], 0.15)
+    column = int((pose[0] * px + pose[1] - light[0] * reach - grid[0]) * grid[2])
+    row = int((pose[0] * py + pose[2] - light[1] * reach - grid[1]) * grid[2])
+    if column < 0 or row < 0 or column >= sun_map.shape[1] or row >= sun_map.shape[0]:
+        return 1.0
+    return float(sun_map[row, column]) / 255.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _light_on(
+    x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F,
+    paint: _F, light: _F, around: _F, pose: _F, sun_map: _F, grid: _F,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Radiance of triangle t as seen at frame px x, y; arguments as in `shade`."""
+    px, py, pz, nx, ny, nz = _surface(x, y, t, screen, triangles, body, normals)
+    u, v = _on_skin(px, py, pz, charts[t], chart_maps, skin)
+    red, green, blue, along, down = _texel(u, v, skin)
+    material = skin[int(v), int(u), 3]
     if material == LIT:
         return red * light[18], green * light[18], blue * light[18]
-
+    if abs(along) + abs(down) > 0.004:
+        nx, ny, nz = _tilted(nx, ny, nz, along, down, charts[t], chart_maps)
+    heading = pose[0]
+    sun_x, sun_y, sun_z = light[0] * heading, light[1] * heading, light[2]
     ex, ey, ez = -pose[1] * heading - px, -pose[2] * heading - py, pose[3] - pz
     norm = 1.0 / math.sqrt(ex * ex + ey * ey + ez * ez)
     ex, ey, ez = ex * norm, ey * norm, ez * norm
@@ -179,60 +242,37 @@ def _light_on(
     amb_b = (up * (0.35 * light[14] + 0.65 * light[17]) + (1 - up) * light[5]) * open_sky
 
     rx, ry, rz = 2 * facing * nx - ex, 2 * facing * ny - ey, 2 * facing * nz - ez
-    er, eg, eb = _environment(rx * heading, ry * heading, rz, light)
+    er, eg, eb = _environment(rx * heading, ry * heading, rz, around)
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
-    away = 1 - facing
-    sharp = toward_sun > 0.8
-    fresnel = 0.055 + 0.945 * away * away * away * away * away
-    gleam, spread = 0.0, 0.0
+    fresnel, gleam, spread, scattered = _gloss(material, paint, toward_sun, 1 - facing)
     if material == PAINT:
-        metal = paint[0]
-        squared = toward_sun * toward_sun * toward_sun
-        spread = metal * 0.8 * squared * squared * squared * squared
-        if sharp:
-            gleam = paint[1] * 26.0 * toward_sun**260
-        fresnel *= paint[1]
         grime = paint[4] * max(0.0, 1.0 - pz / 0.7)
         red += (0.16 - red) * grime
         green += (0.15 - green) * grime
         blue += (0.13 - blue) * grime
         fresnel *= 1 - grime
         # Flakes mirror what stands around, tinted by the paint.
-        amb_r += metal * 0.5 * (er - amb_r)
-        amb_g += metal * 0.5 * (eg - amb_g)
-        amb_b += metal * 0.5 * (eb - amb_b)
-    elif material == GLASS:
-        fresnel = 0.11 + 0.89 * away * away * away * away
-        if sharp:
-            gleam = 25.0 * toward_sun**600
-        lambert *= 0.5
-    elif material == LAMP:
-        fresnel = 0.10 + 0.9 * away * away * away * away * away
-        if sharp:
-            gleam = 10.0 * toward_sun**200
-    elif material == CHROME:
-        fresnel = 0.55
-        if sharp:
-            gleam = 6.0 * toward_sun**80
-        lambert *= 0.4
-    else:
-        fresnel *= 0.25
-    direct = lambert + spread
-    gleam *= 0.04
+        flakes = 0.5 * paint[0]
+        amb_r += flakes * (er - amb_r)
+        amb_g += flakes * (eg - amb_g)
+        amb_b += flakes * (eb - amb_b)
+    sun = _sunlit(px, py, pz, light, pose, sun_map, grid)
+    direct = (lambert * scattered + spread) * sun
+    gleam *= 0.04 * sun
     through = 1 - fresnel
-    return (
-        red * (direct * light[6] + amb_r) * through + fresnel * er + gleam * light[6],
-        green * (direct * light[7] + amb_g) * through + fresnel * eg + gleam * light[7],
-        blue * (direct * light[8] + amb_b) * through + fresnel * eb + gleam * light[8],
-    )
+    red = red * (direct * light[6] + amb_r) * through + fresnel * er + gleam * light[6]
+    green = green * (direct * light[7] + amb_g) * through + fresnel * eg + gleam * light[7]
+    blue = blue * (direct * light[8] + amb_b) * through + fresnel * eb + gleam * light[8]
+    return red, green, blue
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def shade(
     ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
-    light: _F, pose: _F, exposure: float, curve: _F, origin: tuple[float, float], ss: int,
+    light: _F, around: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float],
+    ss: int,
 ) -> _F:  # fmt: skip
-    """Colour of every pixel. A triangle is lit once per pixel, however many of the pixel's samples see it.
+    """Colour of every pixel. One triangle per drawing is lit in each pixel, however many of its samples see others.
 
     Args:
         ids: what `visible_triangles` returned.
@@ -242,12 +282,16 @@ def shade(
         normals: (T, 3, 3) unit normals at the corners, body frame.
         charts: (T,) which row of `chart_maps` a triangle's skin is read through.
         chart_maps: (C, 2, 4) body (x, y, z, 1) -> skin px.
-        skin: (h, w, 4) uint8, linear-light RGB square-rooted to 8 bit, and the material.
+        skin: (h, w, 6) uint8, `Skin.image`.
         paint: (5,) metalness, gloss, height below which light is held back (m), unused, dirt.
-        light: (19,) `Light.packed`.
-        pose: (4,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height.
+        light: (23,) `Light.packed`.
+        around: (S, S, 3) float32, `Light.around`.
+        pose: (5,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height, share of
+            the light that passes the air between.
+        sun_map: (h, w) uint8, `Shade.sun`; one cell where nothing stands in the sun.
+        grid: (3,) `Shade.grid`.
         exposure: factor before the camera's curve.
-        curve: `CURVE`.
+        curve: `Light.curve`.
         origin: as there.
         ss: as there.
 
@@ -268,12 +312,13 @@ def shade(
                     if t < 0:
                         continue
                     n += 1
-                    if t != last:
+                    if charts[t] != last:
                         x, y = origin[0] + col + (j + 0.5) / ss, origin[1] + r + (i + 0.5) / ss
                         red1, green1, blue1 = _light_on(
-                            x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, pose
-                        )
-                        last = t
+                            x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, around,
+                            pose, sun_map, grid,
+                        )  # fmt: skip
+                        last = charts[t]
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
                     red += min(red1 * exposure, 4.0)
                     green += min(green1 * exposure, 4.0)
@@ -281,8 +326,63 @@ def shade(
             if n == 0:
                 continue
             alpha = n * share
-            out[r, col, 0] = _curve(blue / n, curve) * alpha
-            out[r, col, 1] = _curve(green / n, curve) * alpha
-            out[r, col, 2] = _curve(red / n, curve) * alpha
+            red = red * pose[4] + (1 - pose[4]) * n * light[19] * exposure
+            green = green * pose[4] + (1 - pose[4]) * n * light[20] * exposure
+            blue = blue * pose[4] + (1 - pose[4]) * n * light[21] * exposure
+            grey, colourful = 0.30 * red + 0.59 * green + 0.11 * blue, light[22]
+            out[r, col, 0] = _curve((grey + colourful * (blue - grey)) / n, curve) * alpha
+            out[r, col, 1] = _curve((grey + colourful * (green - grey)) / n, curve) * alpha
+            out[r, col, 2] = _curve((grey + colourful * (red - grey)) / n, curve) * alpha
             out[r, col, 3] = alpha
     return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def lay_over(part: _F, layer: _F, hidden: _F) -> None:
+    """Lay a shaded layer over a part of a frame, in place.
+
+    Args:
+        part: (H, W, 3) uint8 BGR.
+        layer: (H, W, 4) float32 as `shade` returns it.
+        hidden: (H, W) uint8, 255 where something stands before the layer; (0, 0) for nothing anywhere.
+    """
+    for r in range(part.shape[0]):
+        for col in range(part.shape[1]):
+            alpha = layer[r, col, 3]
+            if alpha <= 0.002:
+                continue
+            shown = 1.0
+            if hidden.shape[0] > 0:
+                shown = 1.0 - hidden[r, col] / 255.0
+            left = 1.0 - alpha * shown
+            for k in range(3):
+                part[r, col, k] = min(255.0, part[r, col, k] * left + layer[r, col, k] * shown + 0.5)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def darken(part: _F, left: _F, cover: _F) -> None:
+    """Multiply a part of a frame by a shadow of half its size, in place.
+
+    Args:
+        part: (H, W, 3) uint8 BGR.
+        left: (h, w) uint8, share of the grey levels that is left, 255 for all; stretched over the part.
+        cover: (H, W) uint8, 255 where something stands before the shadow; (0, 0) for nothing anywhere.
+    """
+    height, width = part.shape[0], part.shape[1]
+    step_r, step_c = left.shape[0] / height, left.shape[1] / width
+    for r in range(height):
+        at = min(max((r + 0.5) * step_r - 0.5, 0.0), left.shape[0] - 1.001) if left.shape[0] > 1 else 0.0
+        r0 = int(at)
+        fr, r1 = at - r0, min(r0 + 1, left.shape[0] - 1)
+        for col in range(width):
+            at = min(max((col + 0.5) * step_c - 0.5, 0.0), left.shape[1] - 1.001) if left.shape[1] > 1 else 0.0
+            c0 = int(at)
+            if left[r0, c0] == 255 and left[r1, c0] == 255:
+                continue
+            fc, c1 = at - c0, min(c0 + 1, left.shape[1] - 1)
+            top = left[r0, c0] * (1 - fc) + left[r0, c1] * fc
+            value = top * (1 - fr) + (left[r1, c0] * (1 - fc) + left[r1, c1] * fc) * fr
+            if cover.shape[0] > 0:
+                value = max(value, cover[r, col])
+            for k in range(3):
+                part[r, col, k] = part[r, col, k] * value / 255.0 + 0.5

@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.light import Light
-from labelgen.synth.raster import CURVE, shade, visible_triangles
+from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
+from labelgen.synth.sensor import PLAIN, Sensor
 from labelgen.synth.shadow import GroundShadow, ground_shadow
+from labelgen.synth.still import NO_SHADE, Still
 from labelgen.synth.vehicles import Vehicle
 
 __all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
 
 _MIN_DEPTH = 1.0
 _MARGIN = 8
+_NOTHING = np.zeros((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +123,17 @@ class Renderer:
         light: sun, sky and sensor.
         seed: of the noise.
         softness: sigma of the lens's blur on vehicles, px.
+        still: what stands in the background and may hide vehicles.
+        sensor: what the camera does to the whole frame.
     """
 
     def __init__(
-        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int, softness: float = 0.6
-    ) -> None:
+        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int, softness: float = 0.6,
+        still: Still | None = None, sensor: Sensor = PLAIN,
+    ) -> None:  # fmt: skip
+        self.sensor = sensor
+        self.still = still
+        self._shade = NO_SHADE if still is None else still.shade
         self.camera, self.background, self.light, self.softness = camera, background, light, softness
         self._packed = light.packed()
         self._shadows: dict[int, GroundShadow] = {}
@@ -143,12 +152,15 @@ class Renderer:
         grey = cv2.GaussianBlur(grey, (0, 0), 0.5) * 1.3
         return np.asarray(np.clip(128 + grey[..., None] + colour, 0, 255).round(), dtype=np.uint8)
 
-    def frame(self, vehicles: Sequence[Placed], *, number: int = 0) -> tuple[NDArray[np.uint8], list[Drawn]]:
+    def frame(
+        self, vehicles: Sequence[Placed], *, number: int = 0, time_s: float = 0.0
+    ) -> tuple[NDArray[np.uint8], list[Drawn]]:
         """One frame and the masks of the vehicles that show in it.
 
         Args:
             vehicles: all that may show.
             number: picks the noise.
+            time_s: since the first frame, for burnt-in clocks.
 
         Returns:
             (H, W, 3) uint8 BGR, and one `Drawn` per vehicle with at least one visible pixel.
@@ -159,7 +171,9 @@ class Renderer:
             self._cast_shadow(image, placed)
         layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
         drawn = _visible_parts(layers)
+        image = self.sensor.before_noise(image)
         self._add_noise(image, number)
+        self.sensor.write(image, time_s)
         return image, drawn
 
     def truth(self, vehicles: Sequence[Placed]) -> list[Drawn]:
@@ -172,11 +186,19 @@ class Renderer:
         for track_id in track_ids:
             self._shadows.pop(track_id, None)
 
-    def _cast_shadow(self, image: NDArray[np.uint8], placed: Placed) -> None:
+    def prepare(self, placed: Placed) -> None:
+        """Do now what a vehicle's first frame would have to wait for."""
+        self._shadow_of(placed)
+
+    def _shadow_of(self, placed: Placed) -> GroundShadow:
         shadow = self._shadows.get(placed.track_id)
         if shadow is None:
             shadow = ground_shadow(placed.vehicle, placed.heading, self.light)
             self._shadows[placed.track_id] = shadow
+        return shadow
+
+    def _cast_shadow(self, image: NDArray[np.uint8], placed: Placed) -> None:
+        shadow = self._shadow_of(placed)
         h, w = shadow.left.shape
         corners_map = np.array([[0, 0, 1], [w - 1, 0, 1], [w - 1, h - 1, 1], [0, h - 1, 1]], dtype=np.float64)
         corners = (corners_map @ shadow.to_body.T)[:, :2] + placed.centre_xy
@@ -196,9 +218,16 @@ class Renderer:
         left = cv2.warpPerspective(
             shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
-        left = cv2.resize(left, (x1 - x0, y1 - y0), interpolation=cv2.INTER_LINEAR)
-        part = image[y0:y1, x0:x1]
-        cv2.multiply(part, cv2.merge([left, left, left]), dst=part, scale=1 / 255)
+        clear = self._clear(placed)
+        if clear < 0.97:  # air fills shadows up
+            left = cv2.addWeighted(left, clear, left, 0.0, 255 * (1 - clear))
+        # The shadow lies on the road, behind what stands before it.
+        cover = _NOTHING if self.still is None else self.still.cover[y0:y1, x0:x1]
+        darken(image[y0:y1, x0:x1], left, cover)
+
+    def _clear(self, placed: Placed) -> float:
+        """Share of the light that passes the air between the vehicle and the camera."""
+        return float(np.exp(-self.light.haze_per_m * np.hypot(np.hypot(*placed.centre_xy), self.camera.height_m)))
 
     def _window(self, pixels: NDArray[Any], margin: int = 0) -> tuple[int, int, int, int] | None:
         low = np.floor(pixels.min(axis=0)).astype(int) - margin
@@ -222,32 +251,35 @@ class Renderer:
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
         # A pixel belongs to the mask if the vehicle covers its centre.
         centres = visible_triangles(screen, mesh.triangles, size, origin, 1, True)
+        hidden = None if self.still is None else self.still.in_front(window, placed.bounds)
         if image is not None:
-            self._paint(image, placed, screen, centres, window)
+            self._paint(image, placed, screen, centres, window, hidden)
         mask = centres >= 0
+        alone = int(np.count_nonzero(mask))
+        if hidden is not None:
+            mask &= hidden < 128
         outline = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
-        return _Layer(placed.track_id, mask, (x0, y0), outline)
+        return _Layer(placed.track_id, mask, alone, (x0, y0), outline)
 
     def _paint(
         self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64], centres: NDArray[np.int32],
-        window: tuple[int, int, int, int],
+        window: tuple[int, int, int, int], hidden: NDArray[np.uint8] | None,
     ) -> None:  # fmt: skip
-        """Shade a vehicle and lay it over its window of the frame."""
+        """Shade a vehicle and lay it over its window of the frame, save what stands before it."""
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
         ss = 3 if max(size) < 120 else 2 if max(size) < 500 else 1
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
-        pose = np.array([placed.heading, *placed.centre_xy, camera.height_m])
+        pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
         layer: Any = shade(
             ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
-            self._packed, pose, self.light.exposure, CURVE, origin, ss,
+            self._packed, self.light.around, pose, self._shade.sun, self._shade.grid, self.light.exposure,
+            self.light.curve, origin, ss,
         )  # fmt: skip
         layer = self._soften(layer, placed)
-        part = image[y0:y1, x0:x1]
-        kept = cv2.merge([1 - layer[..., 3]] * 3)
-        part[:] = cv2.add(cv2.multiply(part, kept, dtype=cv2.CV_32F), layer[..., :3], dtype=cv2.CV_8U)
+        lay_over(image[y0:y1, x0:x1], layer, _NOTHING if hidden is None else hidden)
 
     def _soften(self, layer: Any, placed: Placed) -> Any:
         """Lens blur, and motion blur along the vehicle's path in the image."""
@@ -281,16 +313,16 @@ class Renderer:
 class _Layer:
     track_id: int
     mask: NDArray[np.bool_]
+    alone: int
     origin_px: tuple[int, int]
     outline_xyxy: NDArray[np.float64]
 
 
 def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:
-    """Cut from each mask what later layers cover."""
+    """Cut from each mask what later layers cover; what stands still is cut from it already."""
     drawn = []
     for i, layer in enumerate(layers):
         mask = layer.mask.copy()
-        alone = int(np.count_nonzero(mask))
         x, y = layer.origin_px
         h, w = mask.shape
         for other in layers[i + 1 :]:
@@ -301,5 +333,5 @@ def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:
                 mask[y0 - y : y1 - y, x0 - x : x1 - x] &= ~other.mask[y0 - oy : y1 - oy, x0 - ox : x1 - ox]
         seen = int(np.count_nonzero(mask))
         if seen:
-            drawn.append(Drawn(layer.track_id, mask, layer.origin_px, seen / alone, layer.outline_xyxy))
+            drawn.append(Drawn(layer.track_id, mask, layer.origin_px, seen / layer.alone, layer.outline_xyxy))
     return drawn

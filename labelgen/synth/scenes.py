@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 
-__all__ = ["Lane", "Scene", "look_at_road", "procedural_scene", "road_to_image", "visible_range"]
+__all__ = ["Lane", "Scene", "carriageways", "look_at_road", "procedural_scene", "road_to_image", "visible_range"]
 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
+_LEAST_SEEN_M = 32.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +118,17 @@ def road_to_image(camera: Camera) -> NDArray[np.float64]:
     return out
 
 
+def carriageways(scene: Scene) -> list[tuple[float, float, list[float]]]:
+    """Per carriageway of a made-up scene its two borders and the borders between its lanes, metres."""
+    groups = []
+    for measured in (True, False):
+        middles = sorted(lane.y0 for lane in scene.lanes if (lane.index is not None) == measured)
+        if middles:
+            inner = [(a + b) / 2 for a, b in pairwise(middles)]
+            groups.append((middles[0] - LANE_WIDTH / 2, middles[-1] + LANE_WIDTH / 2, inner))
+    return groups
+
+
 def _line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]) -> NDArray[np.float64]:
     """Homogeneous px line through two points of the road, its normal of unit length."""
     p, q = camera.project(np.array([a, b]))
@@ -128,7 +141,7 @@ def procedural_scene(
     rng: np.random.Generator, size_wh: tuple[int, int], *, heading: int | None = None, name: str = "synthetic",
     both_ways: bool = False, depth_m: float = 60.0,
 ) -> Scene:  # fmt: skip
-    """A made-up road with two to four lanes, some with a second carriageway, without a picture.
+    """A made-up road with one to four lanes, most with a second carriageway, without a picture.
 
     Args:
         rng: decides everything.
@@ -138,13 +151,12 @@ def procedural_scene(
         both_ways: always have a second carriageway; otherwise most scenes do.
         depth_m: length of the measured road at most.
     """
-    lanes_here = int(rng.integers(2, 4))
-    heading = int(rng.choice([-1, 1], p=[0.7, 0.3])) if heading is None else heading
-    height = rng.uniform(5.5, 11.5)
-    middle = rng.uniform(-7.0, 7.0)
-    distance = height / np.tan(np.radians(rng.uniform(14, 24)))
-    focal = size_wh[0] * np.exp(rng.uniform(np.log(0.95), np.log(1.55)))
-    camera = look_at_road(height, (distance, middle * 0.8), focal, size_wh, rng.uniform(-1.2, 1.2), name)
+    lanes_here = int(rng.choice([1, 2, 3, 4], p=[0.08, 0.37, 0.4, 0.15]))
+    heading = int(rng.choice([-1, 1], p=[0.6, 0.4])) if heading is None else heading
+    camera, middle = _made_up_camera(rng, size_wh, name)
+    while _seen_length(camera, middle) < _LEAST_SEEN_M:
+        camera, middle = _made_up_camera(rng, size_wh, name)
+    distance = float(camera.road_points(camera.pp)[0])
 
     # Right-hand traffic: traffic that comes towards the camera drives on its left.
     edges = middle + LANE_WIDTH * (np.arange(lanes_here + 1) - lanes_here / 2)
@@ -154,11 +166,12 @@ def procedural_scene(
         speed = 78 + 14 * (lanes_here - 1 - fast if heading < 0 else fast)
         lanes.append(Lane((edges[k] + edges[k + 1]) / 2, 0.0, heading, float(speed), k))
     if rng.random() < 0.7 or both_ways:
-        gap = rng.uniform(0.3, 3.0)
+        gap = rng.uniform(0.3, 3.0) if rng.random() < 0.6 else rng.uniform(2.5, 7.0)
         side = -1 if heading < 0 else 1
         start = (edges[0] if side < 0 else edges[-1]) + side * gap
         lanes += [
-            Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None) for k in range(2)
+            Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None)
+            for k in range(max(1, lanes_here - int(rng.integers(0, 2))))
         ]
     near, far = visible_range(camera, middle) or (distance - 5, distance + 30)
     near = max(near, 2.0) + 3.0
@@ -168,6 +181,25 @@ def procedural_scene(
     along = [_line_through(camera, (near, y), (far, y)) for y in edges]
     mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
     return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, FARTHEST_M))
+
+
+def _seen_length(camera: Camera, y: float) -> float:
+    """How many metres of the road at y lie in the picture."""
+    near, far = visible_range(camera, y) or (0.0, 0.0)
+    return far - near
+
+
+def _made_up_camera(rng: np.random.Generator, size_wh: tuple[int, int], name: str) -> tuple[Camera, float]:
+    """A camera on a bridge, a mast or beside the road, and how far left of it the measured carriageway lies."""
+    low, high, steepest, aside = ((5.5, 11.5, 24, 7.0), (3.8, 8.0, 20, 12.0), (8.0, 17.0, 36, 14.0))[
+        int(rng.choice(3, p=[0.6, 0.2, 0.2]))
+    ]
+    height = rng.uniform(low, high)
+    middle = rng.uniform(-aside, aside)
+    distance = height / np.tan(np.radians(rng.uniform(12, steepest)))
+    focal = size_wh[0] * np.exp(rng.uniform(np.log(0.9), np.log(2.0)))
+    target = (distance, middle * rng.uniform(0.6, 0.95))
+    return look_at_road(height, target, focal, size_wh, rng.normal(0, 1.0), name), middle
 
 
 def _carriageway_mask(camera: Camera, y0: float, y1: float, x0: float, x1: float) -> NDArray[np.bool_]:

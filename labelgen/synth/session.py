@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from labelgen.errors import OutputError
 from labelgen.files import make_folder, write_atomic, write_json
 from labelgen.progress import asked_to_stop
-from labelgen.synth.light import Light, Weather, make_light
+from labelgen.synth.light import Light, Weather, make_light, varied_light
 from labelgen.synth.render import Drawn, Placed, Renderer
-from labelgen.synth.road import draw_road
+from labelgen.synth.road import draw_scene
 from labelgen.synth.scenes import Scene, procedural_scene, visible_range
+from labelgen.synth.sensor import PLAIN, Sensor, make_sensor
+from labelgen.synth.still import Still
 from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
 from labelgen.synth.vehicles import Vehicle, check_kinds
@@ -101,34 +103,83 @@ def write_session(
     if scene is None:
         if replay:
             raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
-        place_of, light = _made_up(seed, size_wh, heading, name, weather)
-        surveyed = None
+        setting = _made_up(seed, size_wh, heading, name, weather)
     else:
-        from labelgen.synth.replay import load_scene
-
-        place_of, light, surveyed = load_scene(scene, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
-        name = place_of.name
-    if replay and surveyed is not None:
+        setting = _real(scene, weather, seed)
+    if replay and setting.surveyed is not None:
         from labelgen.synth.replay import replayed_traffic
 
-        trips = replayed_traffic(place_of, surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+        trips = replayed_traffic(setting.scene, setting.surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
     else:
-        trips = random_traffic(place_of, duration_s, seed, per_minute=per_minute, kinds=kinds)
+        trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
+    folders = _folders(out, setting.scene.name, overwrite)
+    done = _render(folders, setting, trips, round(duration_s * fps), fps, seed, video=video, progress=progress)
+    files = _write_beside(folders, setting, trips, done, fps)
+    return SessionSummary(setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files)
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """A place, its light and its camera. `surveyed`: a real session's gt_data.pkl."""
+
+    scene: Scene
+    light: Light
+    still: Still | None
+    sensor: Sensor
+    surveyed: dict[str, Any] | None
+
+
+@dataclass(frozen=True)
+class _Done:
+    """How far the rendering came."""
+
+    complete: bool
+    frames: int
+    masks: int
+    cars: list[dict[str, Any]]
+
+
+def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None) -> _Setting:
+    """A made-up road with its picture."""
+    rng = np.random.default_rng([seed, 1])
+    scene = procedural_scene(rng, size_wh, heading=heading, name=name)
+    light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.52, 0.30, 0.06, 0.12]))], rng)
+    light = varied_light(light, rng)
+    background, still = draw_scene(scene, light, rng)
+    return _Setting(replace(scene, background=background), light, still, make_sensor(rng), None)
+
+
+def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
+    """A real session's place."""
+    from labelgen.synth.replay import load_scene
+
+    scene, light, surveyed = load_scene(folder, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
+    return _Setting(scene, light, None, PLAIN, surveyed)
+
+
+def _folders(out: Path, name: str, overwrite: bool) -> dict[str, Path]:
     folders = {part: out / part / name for part in ("dataset", "results", "truth")}
     for folder in folders.values():
         if folder.exists() and any(folder.iterdir()) and not overwrite:
             raise OutputError(f"{folder}: it exists already; use --overwrite or another --out")
         make_folder(folder)
-    assert place_of.background is not None
-    write_atomic(folders["dataset"] / "video_mask.png", _png(place_of.road_mask.astype(np.uint8) * 255))
-    write_atomic(folders["dataset"] / "screen.png", _png(place_of.background))
-    complete, frames, masks, cars = _render(
-        folders, place_of, light, trips, round(duration_s * fps), fps, seed, video=video, progress=progress
-    )
-    calibration = place_of.camera.to_dict()
-    write_json(folders["results"] / "system_truth.json", {**calibration, "cars": cars})
+    return folders
+
+
+def _write_beside(
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], done: _Done, fps: float
+) -> dict[str, str]:
+    """The files that belong to a rendered video; returns all by name."""
+    scene = setting.scene
+    assert scene.background is not None
+    write_atomic(folders["dataset"] / "video_mask.png", _png(scene.road_mask.astype(np.uint8) * 255))
+    empty = setting.sensor.before_noise(scene.background)
+    setting.sensor.write(empty, 0.0)
+    write_atomic(folders["dataset"] / "screen.png", _png(empty))
+    calibration = scene.camera.to_dict()
+    write_json(folders["results"] / "system_truth.json", {**calibration, "cars": done.cars})
     write_json(folders["results"] / "system_optimal_calibration.json", calibration)
-    gt = ground_truth(place_of, trips, frames / fps, fps, surveyed)
+    gt = ground_truth(scene, trips, done.frames / fps, fps, setting.surveyed)
     write_atomic(folders["dataset"] / "gt_data.pkl", pickle.dumps(gt, protocol=2))
     files = {
         "video": folders["dataset"] / "video.avi",
@@ -137,19 +188,20 @@ def write_session(
         "masks": folders["truth"] / "masks.json",
         "boxes": folders["truth"] / "boxes.jsonl",
     }
-    return SessionSummary(name, frames, len(cars), masks, complete, {k: str(v) for k, v in files.items() if v.exists()})
+    return {k: str(v) for k, v in files.items() if v.exists()}
 
 
 def _render(
-    folders: dict[str, Path], scene: Scene, light: Light, trips: Sequence[Trip], count: int, fps: float, seed: int, *,
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int, *,
     video: bool, progress: bool,
-) -> tuple[bool, int, int, list[dict[str, Any]]]:  # fmt: skip
+) -> _Done:  # fmt: skip
     from contextlib import ExitStack
 
     from tqdm import tqdm
 
     from labelgen.synth.video import VideoWriter
 
+    scene, light = setting.scene, setting.light
     assert scene.background is not None
     done, masks, complete = 0, 0, True
     spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
@@ -157,9 +209,13 @@ def _render(
     with ExitStack() as stack:
         truth = stack.enter_context(TruthWriter(folders["truth"], scene.camera, fps))
         truth.describe(trips)
-        renderer = Renderer(scene.camera, scene.background, light, seed=seed)
+        renderer = Renderer(
+            scene.camera, scene.background, light, seed=seed, still=setting.still, sensor=setting.sensor
+        )
         path = folders["dataset"] / "video.avi"
-        writer = stack.enter_context(VideoWriter(path, fps, renderer.size_wh)) if video else None
+        writer = VideoWriter(path, fps, renderer.size_wh, setting.sensor.crf) if video else None
+        if writer is not None:
+            stack.enter_context(writer)
         bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
         stop = stack.enter_context(asked_to_stop())
         for number in range(count):
@@ -174,24 +230,14 @@ def _render(
                 renderer.forget({k for k in vehicles if k not in ids})
                 vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
                 placed = [place(t, vehicles[t.track_id], time_s) for t in here]
-                image, drawn = renderer.frame(placed, number=number)
+                image, drawn = renderer.frame(placed, number=number, time_s=time_s)
                 writer.write(image)
                 masks += len(drawn)
             truth.add(number, here, drawn)
             done += 1
             bar.update()
         cars = truth.result_cars()
-    return complete, done, masks, cars
-
-
-def _made_up(
-    seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None
-) -> tuple[Scene, Light]:
-    """A made-up road and its light, with its picture."""
-    rng = np.random.default_rng([seed, 1])
-    scene = procedural_scene(rng, size_wh, heading=heading, name=name)
-    light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.4, 0.35, 0.1, 0.15]))], rng)
-    return replace(scene, background=draw_road(scene, light, rng)), light
+    return _Done(complete, done, masks, cars)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

@@ -101,8 +101,11 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     )
     fade = np.clip(margin / (0.5 / _CELL), 0, 1).astype(np.float32)
     left = 1 - fade * (1 - left)
-    # The picture's grey levels follow the camera's gamma.
-    levels = (255 * np.clip(left, 0, 1) ** (1 / 2.2)).round().astype(np.uint8)
+    # What the camera's curve makes of darker asphalt, as a share of what it makes of the open road's.
+    shares = np.linspace(0, 1, 256)
+    seen = light.grey_levels(shares[:, None] * light.road_radiance).mean(axis=1)
+    levels = np.interp(left.clip(0, 1), shares, (255 * seen / max(float(seen[-1]), 1.0)).clip(0, 255))
+    levels = levels.round().astype(np.uint8)
     x, y, w, h = cv2.boundingRect((levels < 252).astype(np.uint8))
     to_body = np.array(
         [[_CELL, 0, x * _CELL - half[0] + _CELL / 2], [0, _CELL, y * _CELL - half[1] + _CELL / 2], [0, 0, 1]]

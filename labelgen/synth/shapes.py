@@ -60,6 +60,7 @@ class Shape:
 
 
 _CAR, _TRUCK, _BUS = VehicleClass.CAR, VehicleClass.TRUCK, VehicleClass.BUS
+_CYCLE = VehicleClass.MOTORCYCLE
 
 BODY_TYPES: dict[str, Shape] = {
     shape.kind: shape
@@ -86,6 +87,9 @@ BODY_TYPES: dict[str, Shape] = {
               1.20, 0.04, 0.06, (2.70, 8.60), 0.48, 8, _BUS, 0.02),
         Shape("articulated", 15.5, 2.50, 3.95, 0.34, 1.10, (0.08, 1.75), (0.50, 3.40), (2.10, 3.60), (2.20, 1.80), 1.40,
               1.80, 0.06, 0.06, (1.40, 4.70, 11.9, 13.2), 0.50, 1, _TRUCK, 0.01, cargo=(2.60, 1.10, 3.95)),
+        # Of a motorcycle only size, axles and wheels count; `motorcycle` makes the rest.
+        Shape("motorcycle", 2.15, 0.76, 1.66, 0.15, 0.80, (0.5, 0.9), (0.8, 1.5), (1.2, 1.5), (1.6, 0.9), 0.8,
+              0.8, 0.0, 0.0, (0.32, 1.80), 0.32, 1, _CYCLE, 0.02),
     )
 }  # fmt: skip
 
@@ -115,8 +119,8 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
         rear_window=_stretched(base.rear_window, along, up),
         tail=base.tail * up,
         belt=base.belt * up,
-        tumble=base.tumble * rng.uniform(0.8, 1.2),
-        corner=base.corner * rng.uniform(0.7, 1.25),
+        tumble=base.tumble * rng.uniform(0.95, 1.4),
+        corner=base.corner * rng.uniform(0.9, 1.7),
         axles=tuple(d * along for d in base.axles),
         wheel=base.wheel * rng.uniform(0.96, 1.05),
         cargo=None if base.cargo is None else (base.cargo[0] * along, base.cargo[1], base.cargo[2] * up),

@@ -31,8 +31,14 @@ from labelgen.synth.traffic import Trip
 __all__ = ["TruthWriter", "encode_mask", "own_front_first"]
 
 # COCO's own category numbers, so that masks can be mixed with those of other tools.
-_CATEGORIES = {VehicleClass.CAR: 3, VehicleClass.BUS: 6, VehicleClass.TRUCK: 8, VehicleClass.VEHICLE: 3}
-_NAMES = {3: "car", 6: "bus", 8: "truck"}
+_CATEGORIES = {
+    VehicleClass.CAR: 3,
+    VehicleClass.MOTORCYCLE: 4,
+    VehicleClass.BUS: 6,
+    VehicleClass.TRUCK: 8,
+    VehicleClass.VEHICLE: 3,
+}
+_NAMES = {3: "car", 4: "motorcycle", 6: "bus", 8: "truck"}
 
 
 def encode_mask(mask: NDArray[np.bool_], origin_px: tuple[int, int], size_wh: tuple[int, int]) -> dict[str, Any]:

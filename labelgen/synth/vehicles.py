@@ -12,19 +12,21 @@ from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 from labelgen.synth.bodies import body_mesh
 from labelgen.synth.mesh import Chart, Mesh, box_mesh
+from labelgen.synth.motorcycle import draw_motorcycle, motorcycle_mesh
+from labelgen.synth.paintwork import draw_skin
 from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
-from labelgen.synth.skin import Skin, draw_skin
+from labelgen.synth.skin import Skin
 
 __all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size"]
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.70, 0.71, 0.70), 0.0, 0.20),
+    ((0.64, 0.65, 0.64), 0.0, 0.20),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.14, 0.145, 0.15), 0.6, 0.19),
     ((0.018, 0.018, 0.020), 0.3, 0.18),
-    ((0.025, 0.05, 0.16), 0.5, 0.10),
+    ((0.022, 0.036, 0.10), 0.5, 0.09),
     ((0.10, 0.17, 0.30), 0.6, 0.03),
     ((0.36, 0.022, 0.022), 0.2, 0.06),
     ((0.03, 0.10, 0.05), 0.3, 0.02),
@@ -85,11 +87,17 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
     body = _body(kind, rng)
     if body.shape is None:
         skin = Skin(body.size_lwh.tolist())
-        skin.image[:] = (*(round(255 * c**0.5) for c in body.colour), PAINT)
+        for chart in Chart:
+            skin.fill(chart, body.colour, PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
-    skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
+    if kind == "motorcycle":
+        skin = Skin(extent)
+        draw_motorcycle(skin, body.shape, body.colour, rng, lamps=lamps)
+    else:
+        skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
+    skin.level(0.0)  # every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
     return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
 
@@ -122,7 +130,7 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
         colour, metal = (0.68, 0.68, 0.67), 0.0
     shape = sample_shape(kind, rng)
-    mesh = body_mesh(shape)
+    mesh = motorcycle_mesh(shape) if kind == "motorcycle" else body_mesh(shape)
     return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
 
 

@@ -19,10 +19,12 @@ from labelgen.errors import OutputError
 
 __all__ = ["VideoWriter"]
 
-_CODECS: tuple[tuple[str, dict[str, str]], ...] = (
-    ("libx264", {"crf": "21", "preset": "superfast", "bf": "0", "threads": "1"}),
-    ("mpeg4", {"qscale": "3", "bf": "0"}),
-)
+
+def _codecs(crf: int) -> tuple[tuple[str, dict[str, str]], ...]:
+    return (
+        ("libx264", {"crf": str(crf), "preset": "superfast", "bf": "0", "threads": "1"}),
+        ("mpeg4", {"qscale": str(max(2, (crf - 12) // 3)), "bf": "0"}),
+    )
 
 
 class VideoWriter:
@@ -32,17 +34,18 @@ class VideoWriter:
         path: ends in .avi.
         fps: frames per second.
         size_wh: both even.
+        crf: H.264's quality; lower is better.
 
     Raises:
         OutputError: the file cannot be written, or the size is odd.
     """
 
-    def __init__(self, path: Path, fps: float, size_wh: tuple[int, int]) -> None:
+    def __init__(self, path: Path, fps: float, size_wh: tuple[int, int], crf: int = 21) -> None:
         import av
 
         if size_wh[0] % 2 or size_wh[1] % 2:
             raise OutputError(f"--size {size_wh[0]}x{size_wh[1]}: video frames need an even width and height")
-        name, options = next((c for c in _CODECS if c[0] in av.codecs_available), _CODECS[-1])
+        name, options = next((c for c in _codecs(crf) if c[0] in av.codecs_available), _codecs(crf)[-1])
         try:
             self._container = av.open(str(path), "w", format="avi")
         except OSError as err:

@@ -39,7 +39,8 @@ def test_bodies_are_closed_seen_from_outside() -> None:
         mesh = make_vehicle(kind, np.random.default_rng(0)).mesh
         a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
         volume = (np.cross(a, b) * c).sum() / 6
-        assert 0.3 < volume / np.ptp(mesh.vertices, axis=0).prod() < 1.0, kind
+        least = 0.1 if kind == "motorcycle" else 0.3
+        assert least < volume / np.ptp(mesh.vertices, axis=0).prod() < 1.0, kind
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,0 +1,199 @@
+"""What vehicles have in common: style, plates, wheels, windows and what shows through them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import CHROME, GLASS, MATTE, PLATE
+from labelgen.synth.shapes import Shape
+from labelgen.synth.skin import Colour, Skin, dim, rounded
+
+__all__ = [
+    "BLACK",
+    "CHROME_TONE",
+    "TRIM",
+    "Style",
+    "draw_wheels",
+    "mirrored",
+    "pane",
+    "passengers",
+    "plate",
+    "sample_style",
+]
+
+BLACK: Colour = (0.010, 0.010, 0.011)
+TRIM: Colour = (0.028, 0.028, 0.030)
+CHROME_TONE: Colour = (0.50, 0.50, 0.51)
+
+
+@dataclass(frozen=True)
+class Style:
+    """What a model looks like beyond its proportions.
+
+    Args:
+        grille: number of a family of grilles.
+        lamp: number of a family of head lamps.
+        rear_lamp: number of a family of tail lamps.
+        cladding: height of unpainted plastic at the sills, metres; also around the wheels when over 0.1.
+        dark_bumpers: whether bumpers are unpainted.
+        chrome: whether window frames and grille are bright.
+        glass: albedo behind the glass.
+        rear_glass: the same from the second row on.
+        dark_roof: whether the roof is black.
+        rails: 0 none, 1 black, 2 bright.
+        plate: number of a family of plates.
+        plate_high: whether the rear plate sits on the boot lid rather than the bumper.
+    """
+
+    grille: int
+    lamp: int
+    rear_lamp: int
+    cladding: float
+    dark_bumpers: bool
+    chrome: bool
+    glass: Colour
+    rear_glass: Colour
+    dark_roof: bool
+    rails: int
+    plate: int
+    plate_high: bool
+
+
+def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
+    """A style that suits a body."""
+    rugged = shape.kind in ("suv", "pickup", "van") and rng.random() < 0.6
+    clear = rng.uniform(0.006, 0.035)
+    private = clear if rng.random() < 0.55 else 0.006
+    rails = 0
+    if shape.kind in ("estate", "suv", "minivan"):
+        rails = int(rng.choice(3, p=[0.3, 0.35, 0.35]))
+    return Style(
+        grille=int(rng.integers(7)),
+        lamp=int(rng.integers(6)),
+        rear_lamp=int(rng.integers(6)),
+        cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
+        dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.12)),
+        chrome=bool(rng.random() < 0.35),
+        glass=(clear, clear * 1.15, clear * 1.15),
+        rear_glass=(private, private * 1.1, private * 1.1),
+        dark_roof=bool(rng.random() < 0.08),
+        rails=rails,
+        plate=int(rng.choice(4, p=[0.55, 0.15, 0.15, 0.15])),
+        plate_high=bool(rng.random() < 0.6),
+    )
+
+
+_PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
+    ((0.58, 0.58, 0.56), BLACK, True), ((0.60, 0.44, 0.04), BLACK, True), ((0.03, 0.08, 0.36), (0.6, 0.6, 0.6), False),
+    ((0.55, 0.55, 0.53), (0.05, 0.08, 0.25), False),
+)  # fmt: skip
+"""Ground, letters, and whether a blue strip stands at the left."""
+
+
+def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator) -> None:
+    """A number plate in its frame."""
+    y, z = centre
+    ground, ink, strip = _PLATES[family]
+    half, tall = (0.26, 0.055) if family < 2 else (0.21, 0.07)
+    skin.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), BLACK, MATTE)
+    skin.rectangle(chart, (y - half, z - tall), (y + half, z + tall), ground, PLATE)
+    if strip:
+        skin.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.01, 0.03, 0.30), PLATE)
+    for k in range(7):
+        if k != 3:
+            left = y + half * (-0.73 + 0.24 * k)
+            long = 0.026 * rng.uniform(0.6, 1.2)
+            skin.rectangle(chart, (left, z - 0.62 * tall), (left + long, z + 0.62 * tall), ink, PLATE)
+
+
+def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
+    """A bonded window with rounded corners and a black rim; returns the outline of its glass."""
+    ring = np.asarray(corners, dtype=np.float64)
+    smooth, middle = rounded(ring, 0.07), ring.mean(axis=0)
+    skin.polygon(chart, smooth, BLACK, GLASS)
+    inner = middle + rim * (smooth - middle)
+    skin.polygon(chart, inner, glass, GLASS)
+    skin.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.003, 0.02)
+    return np.asarray(inner)
+
+
+def passengers(
+    skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator, *, rear: bool = False
+) -> None:
+    """What shows through a wind or rear screen: dashboard or shelf, seats, who sits in them.
+
+    Args:
+        skin: painted on.
+        chart: TOP or an end.
+        span: along the window from its lower to its upper edge: d on top, z at the ends.
+        half: half its width.
+        rng: decides who is there.
+        rear: whether it is the rear window.
+    """
+    low, high = span
+    if abs(high - low) < 0.2:
+        return
+
+    def oval(y: float, along: float, wide: float, long: float, colour: Colour) -> None:
+        angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+        y_ring, ring = y + wide * np.cos(angle), along + long * np.sin(angle)
+        points = np.stack([ring, y_ring] if chart is Chart.TOP else [y_ring, ring], axis=1)
+        skin.polygon(chart, points, colour, GLASS)
+
+    long = high - low
+    tone = rng.uniform(0.012, 0.08)
+    shelf = low + rng.uniform(0.16, 0.3) * long
+    corners = [(low, -half), (shelf, -half * 0.95), (shelf, half * 0.95), (low, half)]
+    if chart is not Chart.TOP:
+        corners = [(y, along) for along, y in corners]
+    skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
+    for side in (-0.5, 0.5):
+        seat = rng.uniform(0.01, 0.06)
+        oval(side * half, high - 0.22 * long, 0.20, 0.13 * long, (seat, seat, seat))
+        if not rear and (side < 0 or rng.random() < 0.4):
+            r, g, b = (rng.uniform(0.01, 0.12) * rng.normal(1, 0.2, 3).clip(0.5, 1.5)).tolist()
+            oval(side * half, low + 0.50 * long, 0.20, 0.17 * long, (r, g, b))
+            oval(side * half, low + 0.75 * long, 0.085, 0.09 * long, (0.10, 0.065, 0.05))
+    if not rear:  # the wheel, the mirror, a paper at the screen's edge
+        oval(-0.5 * half, low + 0.27 * long, 0.17, 0.05 * long, (0.012, 0.012, 0.012))
+        oval(0.0, low + 0.88 * long, 0.12, 0.05 * long, (0.015, 0.015, 0.016))
+        if rng.random() < 0.5:
+            oval(rng.uniform(-0.7, 0.7) * half, low + 0.12 * long, 0.07, 0.05 * long, (0.3, 0.3, 0.28))
+
+
+def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
+    """Tyres, rims in one of several families, hubs."""
+    skin.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
+    family = int(rng.integers(4))
+    bright = float(rng.choice([0.03, 0.18, 0.36, 0.5], p=[0.2, 0.25, 0.35, 0.2]))
+    rim: Colour = (bright, bright, bright * 1.03)
+    spokes = int(rng.integers(5, 11))
+    heavy = shape.wheel > 0.42
+    for axle in shape.axles:
+        hub = np.array([axle, shape.wheel])
+        outer = (0.55 if heavy else 0.70) * shape.wheel
+        skin.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, CHROME)
+        skin.circle(Chart.WHEEL, hub.tolist(), outer - 0.01, (0.012, 0.012, 0.012), MATTE)
+        if family == 0 or heavy:
+            skin.circle(Chart.WHEEL, hub.tolist(), 0.85 * outer, dim(rim, 0.7), MATTE)
+        else:
+            wide = (0.0, 0.10, 0.17, 0.25)[family]
+            for k in range(spokes if family != 3 else 5):
+                angle = 2 * np.pi * k / (spokes if family != 3 else 5) + axle
+                ahead = np.array([np.cos(angle), np.sin(angle)])
+                across = np.array([-ahead[1], ahead[0]]) * wide * shape.wheel
+                tip = hub + 0.98 * outer * ahead
+                ring = [hub - across, hub + across, tip + 0.7 * across, tip - 0.7 * across]
+                skin.polygon(Chart.WHEEL, ring, rim, CHROME)
+        skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, CHROME)
+
+
+def mirrored(points: Sequence[tuple[float, float]], side: int) -> list[tuple[float, float]]:
+    """Points of the left half on either half of an end view."""
+    return [(side * y, z) for y, z in points]

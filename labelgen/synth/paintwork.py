@@ -1,0 +1,227 @@
+"""The skin of a car, van, bus or lorry: panels, windows, doors, roof; faces and freight have modules of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from labelgen.synth.bodies import cabin_edge, shell_end, top_line
+from labelgen.synth.faces import draw_front, draw_rear
+from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, draw_wheels, pane, passengers, sample_style
+from labelgen.synth.freight import draw_bus, draw_cargo
+from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import CHROME, GLASS, LAMP, MATTE, PAINT
+from labelgen.synth.shapes import Shape
+from labelgen.synth.skin import Colour, Skin, dim
+
+__all__ = ["draw_skin"]
+
+_SEAM = 0.3
+
+
+def draw_skin(
+    shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool
+) -> Skin:
+    """The skin of one vehicle.
+
+    Args:
+        shape: its proportions.
+        extent_lwh: metres, its mesh's bounding cuboid.
+        paint, cargo: linear RGB.
+        rng: decides style, plates, trim and wheels.
+        lamps: whether its lamps are on.
+    """
+    skin = Skin(extent_lwh)
+    style = sample_style(shape, rng)
+    for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
+        skin.fill(chart, paint, PAINT)
+    skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
+    skin.fill(Chart.MIRROR, paint if rng.random() < 0.7 else TRIM, PAINT)
+    _draw_side(skin, shape, paint, style, rng)
+    _draw_top(skin, shape, paint, style, rng)
+    draw_front(skin, shape, paint, style, rng, lamps)
+    draw_rear(skin, shape, paint, style, rng, lamps)
+    draw_wheels(skin, shape, rng)
+    if shape.kind == "bus":
+        draw_bus(skin, shape, paint, style, rng)
+    if shape.cargo is not None:
+        draw_cargo(skin, shape, cargo, style, rng, lamps=lamps)
+    return skin
+
+
+def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
+    end = shell_end(shape)
+    waist = shape.belt - rng.uniform(0.16, 0.32)
+    # Sheet metal: a crease along the waist, the wings' bulge, hollows in the doors.
+    skin.emboss(Chart.SIDE, [(0.5, 0), (end - 0.3, 0), (end - 0.3, waist + 0.06), (0.5, waist)], -0.022, soft=True)
+    low_crease = shape.clearance + 0.22
+    skin.emboss(
+        Chart.SIDE, [(0.9, 0), (end - 0.9, 0), (end - 0.9, low_crease + 0.06), (0.9, low_crease)], 0.012, soft=True
+    )
+    skin.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
+    sill = shape.clearance + 0.05 + style.cladding
+    skin.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
+    if style.dark_bumpers:
+        for low, high in ((0.0, 0.45), (end - 0.4, end)):
+            skin.rectangle(Chart.SIDE, (low, 0), (high, shape.nose - 0.28), TRIM, MATTE)
+    if rng.random() < 0.2:
+        skin.rectangle(Chart.SIDE, (0.8, waist - 0.2), (end - 0.8, waist - 0.14), TRIM, MATTE)
+    _side_windows(skin, shape, paint, style, rng)
+    arch = 1.13 * shape.wheel
+    for axle in shape.axles:
+        grow = 1.35 if style.cladding > 0.1 else 1.12
+        ring = _disc((axle, shape.wheel), arch * grow)
+        if style.cladding > 0.1:
+            skin.polygon(Chart.SIDE, _disc((axle, shape.wheel), arch * 1.18), TRIM, MATTE)
+        skin.emboss(Chart.SIDE, ring, 0.014)
+        skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.005, 0.005, 0.005), MATTE)
+    for line in ([(0.52, shape.clearance + 0.1), (0.48, shape.nose - 0.26)], [(end - 0.42, sill), (end - 0.38, waist)]):
+        skin.line(Chart.SIDE, line, dim(paint, _SEAM), PAINT)
+    skin.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.72, waist + 0.05), (0.5, 0.22, 0.02), LAMP)
+
+
+def _disc(centre: tuple[float, float], radius: float) -> Any:
+    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    return np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
+
+
+def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
+    """Glass between pillars, and the doors below it."""
+    d, z = top_line(shape)
+    sill, frame = shape.belt + 0.02, 0.075
+    first = shape.cowl[0] + 0.20 * (shape.roof_front[0] - shape.cowl[0]) + 0.10
+    last = shape.roof_rear[0] + 0.45 * (shape.rear_window[0] - shape.roof_rear[0])
+    doors = shape.doors
+    if shape.kind == "van":
+        # A panel van, one with a second row, or a minibus.
+        last = (shape.roof_front[0] + 0.75, shape.roof_front[0] + 1.9, last)[int(rng.choice(3, p=[0.6, 0.2, 0.2]))]
+        doors = max(1, round((last - shape.roof_front[0]) / 1.1))
+    elif shape.cargo is not None:
+        last = shape.roof_rear[0] - 0.25
+    inside = (z - frame > sill + 0.02) & (d > first) & (d < min(last, shape.rear_window[0]))
+    if inside.sum() <= 4:
+        return
+    outline = np.concatenate([np.stack([d, z - frame], 1)[inside], [[d[inside][-1], sill], [d[inside][0], sill]]])
+    if style.chrome:
+        skin.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), CHROME_TONE, CHROME, 0.035)
+    skin.polygon(Chart.SIDE, outline, BLACK, GLASS)
+    inner = outline + np.where(outline[:, 1:] > sill, [[0, -0.025]], [[0, 0.012]])
+    skin.polygon(Chart.SIDE, inner, style.rear_glass, GLASS)
+    low, high = float(d[inside][0]), float(d[inside][-1])
+    pillars = np.linspace(low + 0.1, high, doors + 1)[1:-1].tolist()
+    front_end = pillars[0] if pillars else high
+    front = inner[(inner[:, 0] <= front_end)]
+    if len(front) > 2:
+        edge = [[front_end, float(front[-2 if len(front) > 2 else -1, 1])], [front_end, sill + 0.012]]
+        skin.polygon(Chart.SIDE, np.concatenate([front[:-1], edge, front[-1:]]), style.glass, GLASS)
+    within = [(low, sill + 0.012), (high, sill + 0.012), (high, sill + 0.09), (low, sill + 0.06)]
+    skin.polygon(Chart.SIDE, within, dim(style.glass, 2.2), GLASS)
+    for p in pillars:
+        skin.rectangle(Chart.SIDE, (p - 0.05, sill), (p + 0.05, shape.height), BLACK, PAINT)
+    # The band of roof above the windows.
+    band = np.concatenate([np.stack([d, z + 0.02], 1), np.stack([d, z - frame], 1)[::-1]])
+    skin.polygon(Chart.SIDE, band, paint, PAINT)
+    if shape.kind != "bus":
+        _doors(skin, shape, paint, (low, high), pillars, rng)
+
+
+def _doors(
+    skin: Skin, shape: Shape, paint: Colour, span: tuple[float, float], pillars: list[float], rng: np.random.Generator
+) -> None:
+    low, high = span
+    sill, foot, seam = shape.belt + 0.02, shape.clearance + 0.16, dim(paint, _SEAM)
+    gaps = [low + 0.05, *pillars[:2], min(high, pillars[-1] + 1.0) if pillars else high]
+    for k, p in enumerate(gaps):
+        bend = -0.12 if k == len(gaps) - 1 and shape.kind != "van" else 0.0
+        line = [(p, sill), (p, sill - 0.35), (p + bend, foot)]
+        skin.line(Chart.SIDE, line, seam, PAINT)
+        skin.groove(Chart.SIDE, line)
+    skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT)
+    skin.groove(Chart.SIDE, [(low, foot), (high, foot)])
+    chrome = rng.random() < 0.2
+    for p in [*pillars[:2], high - 0.1]:
+        handle: tuple[Colour, int] = (CHROME_TONE, CHROME) if chrome else (dim(paint, 0.75), PAINT)
+        skin.rectangle(Chart.SIDE, (p - 0.24, shape.belt - 0.13), (p - 0.07, shape.belt - 0.09), *handle)
+        ring = [(p - 0.25, shape.belt - 0.14), (p - 0.06, shape.belt - 0.14), (p - 0.06, shape.belt - 0.08)]
+        skin.emboss(Chart.SIDE, [*ring, (p - 0.25, shape.belt - 0.08)], 0.012)
+    if shape.kind == "van":
+        rail = [(high, shape.belt - 0.25), (min(high + 1.6, shape.length - 0.3), shape.belt - 0.25)]
+        skin.line(Chart.SIDE, rail, seam, PAINT, 0.03)
+        skin.groove(Chart.SIDE, rail)
+        for p in np.arange(high + 1.3, shape.length - 0.3, 1.1).tolist():
+            skin.groove(Chart.SIDE, [(p, foot), (p, shape.height - 0.2)])
+    else:
+        flap = [(high + 0.1, shape.belt - 0.32), (high + 0.28, shape.belt - 0.32), (high + 0.28, shape.belt - 0.15)]
+        skin.groove(Chart.SIDE, [*flap, (high + 0.1, shape.belt - 0.15), flap[0]])
+
+
+def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
+    half = shape.width / 2
+    seam = dim(paint, _SEAM)
+    roof = (shape.roof_front[0] + 0.12, shape.roof_rear[0] - 0.1)
+    edge = cabin_edge(shape, half, shape.height) - 0.12
+    if style.dark_roof:
+        skin.rectangle(Chart.TOP, (shape.roof_front[0] - 0.05, -half), (shape.roof_rear[0] + 0.05, half), BLACK, PAINT)
+    _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
+    passengers(skin, Chart.TOP, (shape.cowl[0] + 0.08, shape.roof_front[0] - 0.08), 0.62 * half, rng)
+    if shape.kind not in ("van", "bus") and shape.cargo is None:
+        _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
+        span = (shape.rear_window[0] - 0.1, shape.roof_rear[0] + 0.05)
+        passengers(skin, Chart.TOP, span, 0.66 * half, rng, rear=True)
+    if shape.cowl[0] > 0.6:
+        _bonnet(skin, shape, half, seam, rng)
+    sunroof = rng.random()
+    if style.rails:
+        rail = (BLACK, MATTE) if style.rails == 1 else (CHROME_TONE, CHROME)
+        for y in (edge, -edge):
+            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.045)
+    elif shape.kind != "bus" and shape.cargo is None:
+        for y in (edge, -edge):
+            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.4), PAINT, 0.02)
+            skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
+    if sunroof < 0.13 and shape.kind not in ("van", "bus") and shape.cargo is None:
+        long = 0.75 if sunroof < 0.08 else roof[1] - roof[0] - 0.3
+        ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
+        skin.polygon(Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.008, 0.009, 0.009), GLASS)
+    if shape.kind == "van":
+        for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
+            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.12, -edge), (d + 0.12, edge), (d, edge)], 0.012)
+    if rng.random() < 0.6 and shape.cargo is None:
+        d = roof[1] - 0.05
+        skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
+    if shape.bed is not None:
+        low = (shape.bed[0], -0.78 * half)
+        tone = (0.02, 0.02, 0.02) if rng.random() < 0.6 else dim(paint, 0.6)
+        skin.rectangle(Chart.TOP, low, (shape.length - 0.12, 0.78 * half), tone, MATTE)
+
+
+def _top_pane(
+    skin: Skin, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
+) -> None:
+    """A wind or rear screen as far as it lies flat enough to be seen from above."""
+    half = shape.width / 2
+    edge = [cabin_edge(shape, half, z) - 0.05 for _, z in (near, far)]
+    d0, d1 = near[0] + gap * (far[0] - near[0]), far[0] - 0.06 * (far[0] - near[0])
+    y0, y1 = edge[0] - 0.02, edge[1] - 0.04
+    bow = 0.05 * np.sign(d0 - d1)
+    pane(skin, Chart.TOP, [(d0 + bow, 0), (d0, y0), (d1, y1), (d1 + bow, 0), (d1, -y1), (d0, -y0)], glass)
+
+
+def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:
+    """Gaps at the bonnet's sides and front, its creases, the wipers at its rear."""
+    back, y = shape.cowl[0] - 0.05, 0.68 * half
+    for side in (-1, 1):
+        gap = [(0.16, side * 0.9 * y), (0.32, side * y), (back, side * (y + 0.09))]
+        skin.line(Chart.TOP, gap, seam, PAINT)
+        skin.groove(Chart.TOP, gap)
+        inner = rng.uniform(0.3, 0.6) * half
+        crease = [(0.2, side * 0.7 * inner), (back, side * inner)]
+        skin.groove(Chart.TOP, crease, -0.006, 0.03)
+        wiper = [(back + 0.05, side * 0.1), (back + 0.10, side * 0.1 + 0.45)]
+        skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
+    skin.line(Chart.TOP, [(0.16, -0.9 * y), (0.13, 0), (0.16, 0.9 * y)], seam, PAINT)
+    hump = [(0.1, -0.35 * half), (back, -0.5 * half), (back, 0.5 * half), (0.1, 0.35 * half)]
+    skin.emboss(Chart.TOP, hump, 0.016, soft=True)
+    skin.rectangle(Chart.TOP, (shape.cowl[0] - 0.05, -0.8 * half), (shape.cowl[0] + 0.03, 0.8 * half), BLACK, MATTE)

@@ -1,0 +1,138 @@
+"""What a camera and its recorder do to a whole frame: fewer lines, smeared colours, sharpening, writing.
+
+Nothing here moves anything: truth stays what it is. Writing that the camera burns in lies over vehicles without
+being cut out of their masks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["PLAIN", "Sensor", "make_sensor"]
+
+_FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_PLAIN, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX_SMALL)
+
+
+@dataclass(frozen=True)
+class Caption:
+    """A line of burnt-in text.
+
+    Args:
+        text: with `{clock}` where the time of day goes.
+        corner: (x, y) share of the frame, of the text's left end.
+        height: share of the frame's height.
+        font: OpenCV's number.
+        band: whether a dark band lies behind it.
+        rim: whether letters have a dark rim.
+    """
+
+    text: str
+    corner: tuple[float, float]
+    height: float
+    font: int
+    band: bool
+    rim: bool
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera's faults.
+
+    Args:
+        lines: share of the frame's lines and columns that the sensor has; 1 for all.
+        smear: sigma of the colours' blur along lines, share of the frame's width; 0 for none.
+        sharpen: strength of the halos that sharpening leaves; 0 for none.
+        peaking: strength of the halos along lines alone, as analogue cameras make them.
+        crf: quality of the H.264 stream; higher is worse.
+        captions: text in the picture.
+        start_s: time of day at the first frame.
+    """
+
+    lines: float = 1.0
+    smear: float = 0.0
+    sharpen: float = 0.0
+    peaking: float = 0.0
+    crf: int = 21
+    captions: tuple[Caption, ...] = ()
+    start_s: float = 0.0
+
+    def before_noise(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it."""
+        size = (image.shape[1], image.shape[0])
+        out: Any = image
+        if self.lines < 1:
+            few = (max(2, round(size[0] * self.lines)), max(2, round(size[1] * self.lines)))
+            out = cv2.resize(cv2.resize(out, few, interpolation=cv2.INTER_AREA), size, interpolation=cv2.INTER_LINEAR)
+        if self.smear:
+            # Colour at a quarter of the columns, as analogue video carries it.
+            planes = list(cv2.split(cv2.cvtColor(out, cv2.COLOR_BGR2YCrCb)))
+            narrow = (max(2, round(1 / (2 * self.smear))), size[1] // 2)
+            for k in (1, 2):
+                planes[k] = cv2.resize(cv2.resize(planes[k], narrow, interpolation=cv2.INTER_AREA), size)
+            out = cv2.cvtColor(cv2.merge(planes), cv2.COLOR_YCrCb2BGR)
+        if self.sharpen:
+            sigma = 0.8 / max(self.lines, 0.3)
+            out = cv2.addWeighted(out, 1 + self.sharpen, cv2.GaussianBlur(out, (0, 0), sigma), -self.sharpen, 0)
+        if self.peaking:
+            wide = (2 * round(1.5 / max(self.lines, 0.3)) + 1, 1)
+            out = cv2.addWeighted(out, 1 + self.peaking, cv2.blur(out, wide), -self.peaking, 0)
+        return np.asarray(out, dtype=np.uint8)
+
+    def write(self, image: NDArray[np.uint8], time_s: float) -> None:
+        """Burn the captions into a frame, in place."""
+        height, width = image.shape[:2]
+        clock = self.start_s + time_s
+        hms = f"{int(clock // 3600) % 24:02d}:{int(clock // 60) % 60:02d}:{int(clock) % 60:02d}"
+        for caption in self.captions:
+            text = caption.text.format(clock=hms)
+            scale = cv2.getFontScaleFromHeight(caption.font, max(6, round(caption.height * height)))
+            (wide, tall), base = cv2.getTextSize(text, caption.font, scale, 1)
+            x, y = round(caption.corner[0] * width), round(caption.corner[1] * height)
+            x, y = max(0, min(x, width - wide - 2)), max(tall + 2, min(y, height - base - 2))
+            if caption.band:
+                image[y - tall - 2 : y + base + 2, x : x + wide] //= 4
+            if caption.rim:
+                for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                    cv2.putText(image, text, (x + dx, y + dy), caption.font, scale, (10, 10, 10), 1, cv2.LINE_AA)
+            cv2.putText(image, text, (x, y), caption.font, scale, (245, 245, 245), 1, cv2.LINE_AA)
+
+
+PLAIN = Sensor()
+"""A camera without faults."""
+
+
+def make_sensor(rng: np.random.Generator) -> Sensor:
+    """A camera as traffic is filmed with: mostly good ones, some sharpened, some old and coarse; half of them write."""
+    style = rng.random()
+    captions = _captions(rng) if rng.random() < 0.5 else ()
+    start = rng.uniform(6, 20) * 3600
+    if style < 0.5:
+        return Sensor(crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
+    if style < 0.8:
+        sharp = rng.uniform(0.3, 1.3)
+        return Sensor(rng.uniform(0.6, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start)
+    coarse, smear = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
+    sharp, peaking = rng.uniform(0.0, 1.2), rng.uniform(0.3, 2.0)
+    return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start)
+
+
+def _captions(rng: np.random.Generator) -> tuple[Caption, ...]:
+    day = f"{rng.integers(2004, 2027)}-{rng.integers(1, 13):02d}-{rng.integers(1, 29):02d}"
+    if rng.random() < 0.4:
+        day = day.replace("-", "/")
+    names = ("Camera-1", "CAM 04", "A7 km 112.4", "CH1", "Bridge North", "IPCAM", "D1-023 LEFT")
+    font, height = _FONTS[int(rng.integers(len(_FONTS)))], rng.uniform(0.018, 0.045)
+    band, rim = bool(rng.random() < 0.3), bool(rng.random() < 0.6)
+    out = []
+    if rng.random() < 0.85:
+        corner = ((0.01, 0.05), (0.62, 0.05), (0.62, 0.97), (0.01, 0.97))[int(rng.integers(4))]
+        out.append(Caption(f"{day} {{clock}}", corner, height, font, band, rim))
+    if rng.random() < 0.6:
+        corner = ((0.01, 0.10), (0.75, 0.90))[int(rng.integers(2))]
+        out.append(Caption(str(rng.choice(names)), corner, height, font, band, rim))
+    return tuple(out)

@@ -1,0 +1,82 @@
+"""What vehicles are painted with, and what their paint mirrors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labelgen.synth.fittings import sample_style
+from labelgen.synth.light import Weather, make_light
+from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import GLASS, LAMP, LIT, PAINT, PLATE
+from labelgen.synth.render import Placed, Renderer
+from labelgen.synth.scenes import look_at_road
+from labelgen.synth.shapes import BODY_TYPES
+from labelgen.synth.skin import Skin
+from labelgen.synth.vehicles import make_vehicle
+
+
+@pytest.mark.parametrize("kind", BODY_TYPES)
+def test_every_body_has_glass_lamps_and_a_plate(kind: str) -> None:
+    skin = make_vehicle(kind, np.random.default_rng(0)).skin
+    materials = set(np.unique(skin.image[..., 3]).tolist())
+    assert {PAINT, GLASS, PLATE} <= materials
+    assert materials & {LAMP, LIT}
+    assert LIT in np.unique(make_vehicle(kind, np.random.default_rng(0), lamps=True).skin.image[..., 3])
+
+
+def test_the_same_generator_paints_the_same_and_others_differ() -> None:
+    a, b, c = (make_vehicle("hatchback", np.random.default_rng(seed)).skin.image for seed in (1, 1, 2))
+    assert np.array_equal(a, b)
+    assert a.shape != c.shape or not np.array_equal(a, c)
+
+
+def test_styles_come_in_families() -> None:
+    styles = [sample_style(BODY_TYPES["suv"], np.random.default_rng(seed)) for seed in range(200)]
+    for name, count in (("grille", 7), ("lamp", 6), ("rear_lamp", 6), ("plate", 4), ("rails", 3)):
+        assert {getattr(s, name) for s in styles} == set(range(count))
+
+
+def test_relief_tilts_towards_its_edges_alone() -> None:
+    skin = Skin((4.0, 2.0, 1.5))
+    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    skin.emboss(Chart.SIDE, [(1, 0.4), (3, 0.4), (3, 1.0), (1, 1.0)], 0.02)
+    along, down = (skin.image[..., k].astype(int) - 128 for k in (4, 5))
+    row, column = round((1.5 - 0.7) * skin.ppm), round(1.0 * skin.ppm)
+    assert along[row, column] > 20
+    assert along[row, round(3.0 * skin.ppm)] < -20
+    assert down[row, column] == 0
+    assert along[row, round(2.0 * skin.ppm)] == 0
+    # Coarser levels keep materials apart and slopes together.
+    image, maps = skin.level(0.05)
+    assert set(np.unique(image[..., 3])) <= {0, PAINT}
+    np.testing.assert_allclose(maps * 4, skin.maps)
+
+
+def test_paint_mirrors_the_sky_above_and_the_road_below() -> None:
+    for weather in Weather:
+        light = make_light(weather, np.random.default_rng(3))
+        around = light.around
+        side = len(around)
+        assert np.isfinite(around).all()
+        assert (around >= 0).all()
+        middle = slice(side // 2 - 6, side // 2 + 6)
+        assert around[middle, middle].mean() > 0.5 * light.sky_high.mean()
+        np.testing.assert_allclose(around[:3, :3].mean(axis=(0, 1)), light.road_radiance, rtol=0.6)
+
+
+def test_a_black_roof_shows_the_sky() -> None:
+    """Seen under an even grey sky, dark paint is brighter where it faces up than its albedo makes it."""
+    camera = look_at_road(7.0, (16.0, 0.5), 900.0, (320, 240))
+    light = make_light(Weather.OVERCAST, np.random.default_rng(0))
+    car = next(
+        v
+        for v in (make_vehicle("saloon", np.random.default_rng(seed)) for seed in range(60))
+        if np.median(v.skin.image[..., :3][v.skin.image[..., 3] == PAINT]) < 45
+    )
+    renderer = Renderer(camera, np.full((240, 320, 3), 90, np.uint8), light, seed=0)
+    image, drawn = renderer.frame([Placed(1, car, np.array([16.0, 0.5]), -1, 1.0)])
+    x, y = drawn[0].origin_px
+    inside = image[y : y + drawn[0].mask.shape[0], x : x + drawn[0].mask.shape[1]][drawn[0].mask]
+    dark = light.grey_levels(np.full((1, 3), 0.02) * light.ambient).mean()
+    assert np.percentile(inside, 90) > dark + 15
