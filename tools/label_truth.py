@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,15 +38,17 @@ from labelgen.synth.render import Placed, Renderer
 from labelgen.synth.road import draw_road
 from labelgen.synth.scenes import Scene, procedural_scene
 from labelgen.synth.shapes import BODY_TYPES
-from labelgen.synth.vehicles import make_vehicle
+from labelgen.synth.vehicles import Vehicle, make_vehicle
 from tools.draw import crop_around, draw_box3d, draw_text, tile_pictures
 
 __all__ = ["HEIGHTS", "PAIRS", "Case", "main", "measure_scene", "page"]
 
 HEIGHTS = (20, 40, 80)
 """Heights of the exact 2D box, rectified px; each stands for what is nearest to it on a logarithmic scale."""
-_TRIED = 600
-_FARTHEST_M = 160.0
+_TRIED = 1000
+_LOOKS = 3
+_FARTHEST_M = 400.0
+_DEPTHS_M = (60.0, 130.0, 250.0, 400.0)
 PAIRS = {Pair.VP2_VP3: (640, 360), Pair.VP1_VP2: (360, 640)}
 
 
@@ -120,9 +123,10 @@ def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[
     cases: list[Case] = []
     for place, kind in enumerate(kinds or [*BODY_TYPES, "box"]):
         rng = np.random.default_rng([seed, number, place])
+        pool = rng.integers(1 << 30, size=_LOOKS * count)
         still = {(pair, height): count for pair in PAIRS for height in HEIGHTS}
         for near in _spots(scene, rng):
-            looks, heading = int(rng.integers(1 << 30)), int(rng.choice([-1, 1]))
+            looks, heading = int(rng.choice(pool)), int(rng.choice([-1, 1]))
             placed = _placed(kind, looks, heading, near)
             drawn = None
             for pair, rect in rects.items():
@@ -140,8 +144,13 @@ def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[
     return cases
 
 
+@lru_cache(maxsize=64)
+def _vehicle(kind: str, looks: int) -> Vehicle:
+    return make_vehicle(kind, np.random.default_rng(looks))
+
+
 def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> Placed:
-    vehicle = make_vehicle(kind, np.random.default_rng(looks))
+    vehicle = _vehicle(kind, looks)
     return Placed(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
 
 
@@ -282,14 +291,14 @@ def main(
     pictures: Annotated[Path | None, typer.Option("--pictures", help="Folder for pictures of the worst.")] = None,
     real: Annotated[Path | None, typer.Option("--real", help="Real data, for more camera geometries.")] = None,
     count: Annotated[int, typer.Option(min=1, help="Vehicles per scene, body type, pair and height.")] = 4,
-    scenes: Annotated[int, typer.Option(min=1, help="Made-up scenes.")] = 12,
+    scenes: Annotated[int, typer.Option(min=1, help="Made-up scenes.")] = 20,
 ) -> None:
     """Measure labels from exact masks against exact 3D boxes."""
     from tqdm import tqdm
 
     root = real or (Path(os.environ["LABELGEN_REAL_DATA"]) if "LABELGEN_REAL_DATA" in os.environ else None)
     made_up = [
-        procedural_scene(np.random.default_rng([k, 41]), (1920, 1080), depth_m=130.0 if k % 2 else 60.0)
+        procedural_scene(np.random.default_rng([k, 41]), (1920, 1080), depth_m=_DEPTHS_M[k % len(_DEPTHS_M)])
         for k in range(scenes)
     ]
     real_scenes = [] if root is None else _real_scenes(root)

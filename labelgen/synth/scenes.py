@@ -173,7 +173,7 @@ def procedural_scene(
             Lane(start + side * LANE_WIDTH * (k + 0.5), 0.0, -heading, 80.0 + 12 * (1 - k), None)
             for k in range(max(1, lanes_here - int(rng.integers(0, 2))))
         ]
-    near, far = visible_range(camera, middle) or (distance - 5, distance + 30)
+    near, far = visible_range(camera, middle, max(FARTHEST_M, depth_m)) or (distance - 5, distance + 30)
     near = max(near, 2.0) + 3.0
     far = min(far - 3.0, near + depth_m)
     marks = np.linspace(near + 2, far - 2, 3)
