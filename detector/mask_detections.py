@@ -12,7 +12,7 @@ from detector.detections import Detections
 from detector.variants import Variant, View
 from labelgen.errors import RectificationError
 from labelgen.generate.mask_labels import LabelLimits, label_masks
-from labelgen.geometry import Pair, Rectification, RoadMask, Rule
+from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
 from labelgen.labels import Labels
 from labelgen.masks import InstanceMasks, MaskSource, masked_frames
 from labelgen.sources.frames import Frame, FrameSource, always
@@ -22,9 +22,6 @@ __all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
 SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
 """Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
 its foot is where it is, and without it a track would break."""
-
-_WINDOW_MARGIN_PX = 4
-_SMALLEST_WINDOW_PX = 32
 
 
 class MaskPlacer:
@@ -91,10 +88,8 @@ class MaskPlacer:
                 masks.frame_wh, masks.origins[i : i + 1], masks.crops[i : i + 1], masks.class_ids[i : i + 1],
                 masks.scores[i : i + 1],
             )  # fmt: skip
-            window = boxes[i] + _WINDOW_MARGIN_PX * np.array([-1, -1, 1, 1])
-            size = np.maximum(window[2:] - window[:2], _SMALLEST_WINDOW_PX).tolist()
             try:
-                rectification = Rectification.from_window(self.view.camera, window, self._pair, (size[0], size[1]))
+                rectification = window_around(self.view.camera, boxes[i], self._pair)
             except RectificationError:
                 self.rejects["window without a rectification"] += 1
                 continue

@@ -1,0 +1,116 @@
+"""Silhouettes of what moves, gathered while a video goes by and kept as polygons: what the scale is measured on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.geometry import mask_polygon
+from labelgen.geometry.projective import Array
+from labelgen.masks.background import BackgroundMasks
+from labelgen.masks.instances import InstanceMasks
+
+__all__ = ["Blob", "BlobCollector", "mask_blobs"]
+
+_WIDTH = 640
+_PERIOD_S = 0.4
+_PRIME_FRAMES = 64
+_CAPACITY = 1500
+_BORDER_SHARE = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class Blob:
+    """One silhouette.
+
+    Args:
+        number: of the frame.
+        time_s: of the frame.
+        polygon_px: (K, 2) px of the full frame, the corners of its convex hull.
+    """
+
+    number: int
+    time_s: float
+    polygon_px: Array
+
+
+def mask_blobs(masks: InstanceMasks, number: int, time_s: float, factor: float = 1.0) -> list[Blob]:
+    """The masks of a frame as blobs, without those that the frame's border may have cut.
+
+    Args:
+        masks: of the frame, or of a smaller copy of it.
+        number, time_s: of the frame.
+        factor: px of the frame per px of the masks.
+    """
+    width, height = masks.frame_wh
+    margin = max(1.0, _BORDER_SHARE * width)
+    out = []
+    for box, origin, crop in zip(masks.boxes_xyxy.tolist(), masks.origins.tolist(), masks.crops, strict=True):
+        if min(box[0], box[1], width - box[2], height - box[3]) <= margin:
+            continue
+        polygon = mask_polygon(crop, (origin[0], origin[1]))
+        if polygon is not None:
+            hull = cv2.convexHull(polygon.astype(np.float32))[:, 0].astype(np.float64)
+            out.append(Blob(number, time_s, hull * factor))
+    return out
+
+
+class BlobCollector:
+    """Rides on the pass over a video (`labelgen.calibrate.observe.Collector`) and keeps a fair sample of the silhouettes.
+
+    It finds them with `BackgroundMasks` on small copies of a few frames per second; the first of them are kept until
+    the empty scene can be learnt from them, and looked at then.
+
+    Args:
+        capacity: how many blobs to keep; later ones replace earlier ones at random.
+        seed: of that choice.
+    """
+
+    def __init__(self, *, capacity: int = _CAPACITY, seed: int = 0) -> None:
+        self._masks: BackgroundMasks | None = None
+        self._waiting: list[tuple[int, float, NDArray[np.uint8]]] = []
+        self._kept: list[Blob] = []
+        self._capacity, self._rng = capacity, np.random.default_rng(seed)
+        self._last_s = -np.inf
+        self._factor, self.seen = 1.0, 0
+
+    def see(
+        self, number: int, time_s: float, rgb: NDArray[np.uint8], moving: NDArray[np.bool_] | NDArray[np.uint8] | None
+    ) -> None:
+        """Take in a frame; what `moving` says is not used, since it does not tell shadows from vehicles."""
+        if time_s < self._last_s + _PERIOD_S:
+            return
+        self._last_s = time_s
+        height, width = rgb.shape[:2]
+        self._factor = width / _WIDTH
+        small = cv2.resize(rgb, (_WIDTH, max(1, round(height / self._factor))), interpolation=cv2.INTER_AREA)
+        self._waiting.append((number, time_s, np.asarray(small, dtype=np.uint8)))
+        if self._masks is not None or len(self._waiting) >= _PRIME_FRAMES:
+            self._look()
+
+    def blobs(self) -> list[Blob]:
+        """The blobs kept so far, in order of time."""
+        self._look()
+        return sorted(self._kept, key=lambda blob: blob.number)
+
+    def _look(self) -> None:
+        if self._masks is None:
+            self._masks = BackgroundMasks()
+            self._masks.prime(image for _, _, image in self._waiting)
+        for number, time_s, image in self._waiting:
+            self._masks.observe(image)
+            for blob in mask_blobs(self._masks.masks([image])[0], number, time_s, self._factor):
+                self._keep(blob)
+        self._waiting.clear()
+
+    def _keep(self, blob: Blob) -> None:
+        self.seen += 1
+        if len(self._kept) < self._capacity:
+            self._kept.append(blob)
+            return
+        place = int(self._rng.integers(self.seen))
+        if place < self._capacity:
+            self._kept[place] = blob
