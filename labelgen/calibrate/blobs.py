@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -20,6 +21,9 @@ _PERIOD_S = 0.4
 _PRIME_FRAMES = 64
 _CAPACITY = 1500
 _BORDER_SHARE = 0.003
+# Two masks may be one vehicle where they share this much of the narrower one's width, with a gap of at most this share
+# of their common height.
+_SHARED_WIDTH, _GAP_SHARE = 0.6, 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +34,20 @@ class Blob:
         number: of the frame.
         time_s: of the frame.
         polygon_px: (K, 2) px of the full frame, the corners of its convex hull.
+        joined: whether it is several silhouettes put together; each of them is a blob, too.
     """
 
     number: int
     time_s: float
     polygon_px: Array
+    joined: bool = False
 
 
 def mask_blobs(masks: InstanceMasks, number: int, time_s: float, factor: float = 1.0) -> list[Blob]:
     """The masks of a frame as blobs, without those that the frame's border may have cut.
+
+    A windscreen that mirrors the sky can look like the road and cut a vehicle in two, so masks one above the other are
+    given together as well as alone.
 
     Args:
         masks: of the frame, or of a smaller copy of it.
@@ -47,15 +56,31 @@ def mask_blobs(masks: InstanceMasks, number: int, time_s: float, factor: float =
     """
     width, height = masks.frame_wh
     margin = max(1.0, _BORDER_SHARE * width)
-    out = []
-    for box, origin, crop in zip(masks.boxes_xyxy.tolist(), masks.origins.tolist(), masks.crops, strict=True):
-        if min(box[0], box[1], width - box[2], height - box[3]) <= margin:
-            continue
-        polygon = mask_polygon(crop, (origin[0], origin[1]))
+    boxes = masks.boxes_xyxy
+    whole = ((boxes[:, :2] > margin) & (boxes[:, 2:] < np.array([width, height]) - margin)).all(axis=1)
+    polygons = {}
+    for i in np.flatnonzero(whole).tolist():
+        polygon = mask_polygon(masks.crops[i], (int(boxes[i, 0]), int(boxes[i, 1])))
         if polygon is not None:
-            hull = cv2.convexHull(polygon.astype(np.float32))[:, 0].astype(np.float64)
-            out.append(Blob(number, time_s, hull * factor))
-    return out
+            polygons[i] = polygon
+    groups = [[i] for i in polygons]
+    groups += [[i, j] for i, j in combinations(polygons, 2) if _stacked(boxes[i], boxes[j])]
+    return [
+        Blob(number, time_s, factor * _hull(np.concatenate([polygons[i] for i in group])), joined=len(group) > 1)
+        for group in groups
+    ]
+
+
+def _stacked(one: NDArray[np.int64], two: NDArray[np.int64]) -> bool:
+    """Whether two boxes stand one above the other as the two halves of a vehicle would."""
+    shared = min(one[2], two[2]) - max(one[0], two[0])
+    gap = max(one[1], two[1]) - min(one[3], two[3])
+    total = max(one[3], two[3]) - min(one[1], two[1])
+    return bool(shared >= _SHARED_WIDTH * min(one[2] - one[0], two[2] - two[0]) and gap <= _GAP_SHARE * total)
+
+
+def _hull(points: Array) -> Array:
+    return cv2.convexHull(points.astype(np.float32))[:, 0].astype(np.float64)
 
 
 class BlobCollector:

@@ -45,6 +45,7 @@ def scale_from_dimensions(
         CalibrationError: too few silhouettes with a box, or a mean vehicle that is none.
     """
     unit = unit_camera(camera)
+    blobs = [blob for blob in blobs if not blob.joined]
     vertices, valid = tangent_boxes(unit, [blob.polygon_px for blob in blobs])
     sizes = cuboid_sizes(vertices[valid], unit)
     times = np.array([blob.time_s for blob in blobs])[valid]
