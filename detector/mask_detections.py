@@ -30,7 +30,7 @@ class MaskPlacer:
     Args:
         view: where the detections lie.
         road: vehicles must stand on it.
-        pair: for `maskrcnn3d`, in which windows are rectified; the other variants have it in their view.
+        pair: for 3D boxes around outlines, in which windows are rectified; other variants have it in their view.
         rule: how c_c's two candidates become one.
         limits: what to refuse.
 
@@ -48,8 +48,8 @@ class MaskPlacer:
         """The detections of a frame."""
         if self.view.variant is Variant.ORIG2D:
             return self._orig2d(frame, time_s, masks)
-        if self.view.variant is Variant.MASKRCNN3D:
-            return self._maskrcnn3d(frame, time_s, masks)
+        if self.view.variant.from_tangents:
+            return self._tangents(frame, time_s, masks)
         assert self.view.rectification is not None
         labels = self._labels(masks, self.view.rectification)
         found, valid = self.view.place(frame, time_s, labels.boxes_xyxy, labels.cc, labels.scores, labels.class_ids)
@@ -80,7 +80,7 @@ class MaskPlacer:
         self._count_invalid(valid)
         return found
 
-    def _maskrcnn3d(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
+    def _tangents(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
         """3D boxes from the masks' own windows: nothing is cut at a rectified picture's border, or sampled coarsely."""
         boxes, vertices, kept = masks.boxes_xyxy, [], []
         for i in range(len(masks)):
