@@ -167,7 +167,9 @@ class CameraShake:
     """Whether the camera moves: corners all over the picture against those of some seconds before.
 
     Attributes:
-        shifts_px: median displacement of the corners at each look, px of the small frames; infinite where they are gone.
+        shifts_px: by how much all but a quarter of the corners had moved at each look, px of the small frames;
+            infinite where they are gone.
+        drift_px: the greatest displacement since the beginning, without jumps.
     """
 
     _REFRESH = 8
@@ -188,9 +190,11 @@ class CameraShake:
             held = found[:, 0] > 0
             moved = (now - self._corners)[held].reshape(-1, 2)
             lost = held.mean() < 0.3
-            self.shifts_px.append(np.inf if lost else float(np.median(np.hypot(*moved.T))))
+            # Corners on vehicles may be many; on a camera that moves even the slowest quarter moves.
+            size = np.hypot(*moved.T)
+            self.shifts_px.append(np.inf if lost else float(np.quantile(size, 0.25)))
             if self._looks % self._REFRESH == 0 and not lost:
-                self._drift += np.median(moved, axis=0)
+                self._drift += np.median(moved[size <= np.median(size)], axis=0)
                 self.drift_px = max(self.drift_px, float(np.hypot(*self._drift)))
         if self._looks % self._REFRESH == 0:
             self._reference, self._corners = grey, self._spread(grey)
