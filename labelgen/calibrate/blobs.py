@@ -17,7 +17,8 @@ from labelgen.masks.instances import InstanceMasks
 __all__ = ["Blob", "BlobCollector", "mask_blobs"]
 
 _WIDTH = 640
-_PERIOD_S = 0.4
+_PERIOD_S = 0.3
+_FOLLOW_EVERY = 4
 _PRIME_FRAMES = 64
 _CAPACITY = 1500
 _BORDER_SHARE = 0.003
@@ -100,7 +101,7 @@ class BlobCollector:
         self._kept: list[Blob] = []
         self._capacity, self._rng = capacity, np.random.default_rng(seed)
         self._last_s = -np.inf
-        self._factor, self.seen = 1.0, 0
+        self._factor, self._looks, self.seen = 1.0, 0, 0
 
     def see(
         self, number: int, time_s: float, rgb: NDArray[np.uint8], moving: NDArray[np.bool_] | NDArray[np.uint8] | None
@@ -126,7 +127,10 @@ class BlobCollector:
             self._masks = BackgroundMasks()
             self._masks.prime(image for _, _, image in self._waiting)
         for number, time_s, image in self._waiting:
-            self._masks.observe(image)
+            # Light changes slowly.
+            if self._looks % _FOLLOW_EVERY == 0:
+                self._masks.observe(image)
+            self._looks += 1
             for blob in mask_blobs(self._masks.masks([image])[0], number, time_s, self._factor):
                 self._keep(blob)
         self._waiting.clear()

@@ -1,9 +1,9 @@
 """The road as the part of the frame in which things move along VP1.
 
-Dense optical flow between frames a fraction of a second apart is counted, pixel by pixel, by its direction; the
-vanishing points need not be known for that. With VP1, what moved towards it or away from it is kept, cleaned, and
-made straight: strips between lines to VP1, from the farthest motion seen down to the frame's border. The part near the
-horizon is cut off: it could not be rectified.
+The optical flow is sparse: tracks of features on moving things (`labelgen.calibrate.features`). Those that run along
+the line to VP1 are drawn into a small picture, each counting once where it passes; what few tracks cross, or what
+others cross as well, does not count. The rest is cleaned and made straight: strips between lines to VP1, from the
+farthest motion seen down to the frame's border. The part near the horizon is cut off: it could not be rectified.
 
 The mask therefore holds what vehicles on the road cover, up to their roofs, not their tyres' tracks alone; that is
 what masks drawn by hand for this purpose hold too.
@@ -11,152 +11,117 @@ what masks drawn by hand for this purpose hold too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.calibrate.features import Track
 from labelgen.calibrate.scale import unit_camera
 from labelgen.errors import CalibrationError
+from labelgen.files import make_folder, write_atomic
 from labelgen.geometry import Camera
 from labelgen.geometry.projective import Array
 
-__all__ = ["FlowCollector", "RoadMaskEstimate", "road_mask"]
+__all__ = ["RoadMaskEstimate", "road_mask", "write_mask"]
 
 _WIDTH = 320
-_PERIOD_S, _LONGEST_GAP_S = 0.25, 0.6
-_BINS = 24
-_CHANGED_LEVELS, _SAME_LEVELS = 12, 20
-_SLOWEST_PX = 0.7
-# Motion within this angle of the line to VP1 runs along it, and most of a pixel's motion must.
-_ALONG_DEG, _ALONG_SHARE = 20.0, 0.5
-_FEWEST_VISITS, _VISIT_SHARE = 2, 0.05
-_SMALLEST_SHARE, _PIECE_SHARE = 0.01, 0.15
+# A track this long, px of the small picture, tells its direction; within this angle of the line to VP1 it runs along it.
+_SHORTEST_PX, _ALONG_DEG = 8.0, 8.0
+# How wide a track is drawn, how many must pass a pixel, absolutely and as a share of what passes the busiest tenth, and
+# how many of all that pass it must run along VP1.
+_TRACK_PX, _FEWEST, _SHARE, _ALONG_SHARE = 5, 2, 0.06, 0.5
 _HORIZON_MARGIN = 0.06
-_CLOSE_SHARE = 0.03
+_CLOSE_SHARE, _PIECE_SHARE = 0.03, 0.1
 # The road ends where this share of its support lies nearer. Of the strips along it those count that are supported over
 # this share of what the best ones are.
-_FAR_PERCENTILE, _STRIPS, _STRIP_SHARE, _BEST_STRIPS = 99.5, 160, 0.3, 0.9
+_FAR_PERCENTILE, _STRIPS, _STRIP_SHARE, _BEST_STRIPS = 99.5, 160, 0.25, 0.9
+_LEAST_TRACKS, _LEAST_AREA = 10, 0.01
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class RoadMaskEstimate:
-    """A road mask and how well it is supported.
+    """A road mask and what it rests on.
 
     Args:
         pixels: (H, W) bool.
-        moves: how many pairs of frames showed motion along VP1.
-        along: share of all motion seen that ran along VP1.
+        tracks: how many features moved along VP1.
+        along: their share of all features that moved.
     """
 
     pixels: Mask
-    moves: int
+    tracks: int
     along: float
 
 
-class FlowCollector:
-    """Rides on the pass over a video (`labelgen.calibrate.observe.Collector`) and counts directions of motion.
-
-    Attributes:
-        size_wh: px of the frames; None before the first.
-        counts: (h, w, B) uint16, how often a pixel of the small frame moved into each of B directions, from that of x
-            towards that of y.
-        pairs: pairs of frames in which something moved.
-    """
-
-    def __init__(self) -> None:
-        self.size_wh: tuple[int, int] | None = None
-        self.counts: NDArray[np.uint16] = np.zeros((0, 0, _BINS), dtype=np.uint16)
-        self.pairs = 0
-        self._before: NDArray[np.uint8] | None = None
-        self._before_s = self._last_s = -np.inf
-
-    def see(
-        self, number: int, time_s: float, rgb: NDArray[np.uint8], moving: NDArray[np.bool_] | NDArray[np.uint8] | None
-    ) -> None:
-        """Take in a frame; what moves is found by the difference to the one before."""
-        height, width = rgb.shape[:2]
-        size = (_WIDTH, max(1, round(height * _WIDTH / width)))
-        small = cv2.cvtColor(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-        now = np.asarray(small, dtype=np.uint8)
-        if self.size_wh is None:
-            self.size_wh = (width, height)
-            self.counts = np.zeros((*now.shape, _BINS), dtype=np.uint16)
-        before, gap = self._before, time_s - self._before_s
-        self._before, self._before_s = now, time_s
-        if before is not None and 0 < gap <= _LONGEST_GAP_S and time_s >= self._last_s + _PERIOD_S:
-            self._last_s = time_s
-            self._count(before, now)
-
-    def _count(self, before: NDArray[np.uint8], now: NDArray[np.uint8]) -> None:
-        changed = cv2.blur(cv2.absdiff(before, now), (3, 3)) > _CHANGED_LEVELS
-        x, y, w, h = cv2.boundingRect(changed.view(np.uint8))
-        if w < 4 or h < 4:
-            return
-        here = np.s_[max(0, y - 8) : y + h + 8, max(0, x - 8) : x + w + 8]
-        start = np.zeros((*before[here].shape, 2), dtype=np.float32)
-        flow = np.asarray(cv2.calcOpticalFlowFarneback(before[here], now[here], start, 0.5, 4, 15, 2, 5, 1.1, 0))
-        rows, columns = np.indices(flow.shape[:2], dtype=np.float32)
-        # A flow that ends on something of another brightness is none.
-        found = cv2.remap(now[here], columns + flow[..., 0], rows + flow[..., 1], cv2.INTER_LINEAR)
-        sound = (cv2.absdiff(found, before[here]) < _SAME_LEVELS) & changed[here]
-        sound &= np.hypot(flow[..., 0], flow[..., 1]) > _SLOWEST_PX
-        if not sound.any():
-            return
-        turn = np.arctan2(flow[..., 1], flow[..., 0])[sound]
-        bins = np.floor(turn * (_BINS / (2 * np.pi))).astype(np.int64) % _BINS
-        row, column = np.nonzero(sound)
-        self.counts[row + here[0].start, column + here[1].start, bins] += 1
-        self.pairs += 1
-
-
-def road_mask(camera: Camera, flow: FlowCollector) -> RoadMaskEstimate:
+def road_mask(camera: Camera, tracks: Sequence[Track]) -> RoadMaskEstimate:
     """The road in a video.
 
     Args:
-        camera: VP1 and the horizon count; it needs no scale.
-        flow: has seen the video.
+        camera: with the frame's size; it needs no scale.
+        tracks: features on what moved in the video.
 
     Raises:
         CalibrationError: nothing, or too little, moves along VP1.
     """
-    if flow.size_wh is None:
-        raise CalibrationError("road mask: the video showed no frame; use another part of it")
-    if camera.image_wh is not None and tuple(camera.image_wh) != flow.size_wh:
+    assert camera.image_wh is not None
+    factor = _WIDTH / camera.image_wh[0]
+    small = camera.resized(factor)
+    assert small.image_wh is not None
+    shape = small.image_wh[::-1]
+    ways, other, along_count, count = _draw(small, factor, tracks, shape)
+    share = along_count / max(1, count)
+    along = ways[0] + ways[1]
+    pixels = np.zeros(shape, dtype=np.bool_)
+    if along_count >= _LEAST_TRACKS:
+        often = max(_FEWEST, _SHARE * float(np.quantile(along[along > 0], 0.9)))
+        support = (along >= often) & (along >= _ALONG_SHARE * (along + other)) & _below_horizon(small, shape)
+        pixels = _straight(small, _closed(support), ways[0] - ways[1])
+    if pixels.mean() < _LEAST_AREA:
+        seen = "nothing moves" if not along_count else "too little moves"
         raise CalibrationError(
-            f"road mask: the calibration is for {camera.image_wh[0]}x{camera.image_wh[1]} px, but the frames are "
-            f"{flow.size_wh[0]}x{flow.size_wh[1]}; calibrate with frames of this size"
+            f"road mask: {seen} along VP1 ({along_count} of {count} tracks run along it); use a part of the video with "
+            "traffic, or check the calibration"
         )
-    small = camera.resized(_WIDTH / flow.size_wh[0])
-    ways = _along(small, flow.counts)
-    total = flow.counts.sum(axis=2, dtype=np.int64)
-    along = ways.sum(axis=0)
-    often = max(_FEWEST_VISITS, _VISIT_SHARE * float(np.percentile(along[along > 0], 90)) if along.any() else 0)
-    support = (along >= often) & (along >= _ALONG_SHARE * total) & _below_horizon(small, total.shape)
-    pixels = _straight(small, _closed(support), ways[0] - ways[1])
-    share = float(ways.sum() / max(1, total.sum()))
-    if pixels.mean() < _SMALLEST_SHARE:
-        seen = "nothing moves" if not total.any() else "too little moves"
-        raise CalibrationError(
-            f"road mask: {seen} along VP1 ({share:.0%} of the motion seen); use a part of the "
-            "video with traffic, or check the calibration"
-        )
-    levels = cv2.resize(pixels.astype(np.uint8) * 255, flow.size_wh, interpolation=cv2.INTER_LINEAR)
-    return RoadMaskEstimate(np.asarray(levels >= 128, dtype=np.bool_), flow.pairs, share)
+    levels = cv2.resize(pixels.astype(np.uint8) * 255, camera.image_wh, interpolation=cv2.INTER_LINEAR)
+    return RoadMaskEstimate(np.asarray(levels >= 128, dtype=np.bool_), along_count, share)
 
 
-def _along(small: Camera, counts: NDArray[np.uint16]) -> Array:
-    """(2, h, w) how often each pixel moved towards VP1, and away from it."""
-    height, width = counts.shape[:2]
-    towards = small.vp1 - _middles((height, width))
-    turn = np.arctan2(towards[..., 1], towards[..., 0])
-    bins = (np.arange(_BINS) + 0.5) * (2 * np.pi / _BINS)
-    cosine = np.cos(bins - turn[..., None])
+def write_mask(path: Path, pixels: Mask) -> None:
+    """Write a mask (H, W) as PNG, 255 where it is set."""
+    make_folder(path.absolute().parent)
+    write_atomic(path, bytes(cv2.imencode(".png", pixels.astype(np.uint8) * 255)[1]))
+
+
+def _draw(
+    small: Camera, factor: float, tracks: Sequence[Track], shape: tuple[int, ...]
+) -> tuple[Array, Array, int, int]:
+    """How many tracks pass each pixel: towards VP1 and away from it (2, h, w), and others (h, w); counts of tracks."""
+    ways, other = np.zeros((2, *shape), dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
+    along_count = count = 0
     limit = np.cos(np.radians(_ALONG_DEG))
-    return np.stack([np.where(way * cosine > limit, counts, 0).sum(axis=2, dtype=np.float64) for way in (1, -1)])
+    for track in tracks:
+        points = track.points_px * factor
+        moved, middle = points[-1] - points[0], points.mean(axis=0)
+        length, to_vp = float(np.hypot(*moved)), small.vp1 - middle
+        if length < _SHORTEST_PX:
+            continue
+        cosine = float(moved @ to_vp) / (length * max(float(np.hypot(*to_vp)), 1e-9))
+        count += 1
+        along_count += abs(cosine) > limit
+        into = other if abs(cosine) <= limit else ways[0 if cosine > 0 else 1]
+        low = np.maximum(np.floor(points.min(axis=0)).astype(int) - _TRACK_PX, 0)
+        high = np.ceil(points.max(axis=0)).astype(int) + _TRACK_PX
+        part = into[low[1] : high[1], low[0] : high[0]]
+        drawn = np.zeros(part.shape, dtype=np.uint8)
+        cv2.polylines(drawn, [np.round(points - low - 0.5).astype(np.int32)], False, 1, _TRACK_PX)
+        part += drawn
+    return ways.astype(np.float64), other.astype(np.float64), along_count, count
 
 
 def _middles(shape: tuple[int, ...]) -> Array:
@@ -189,12 +154,12 @@ def _straight(small: Camera, support: Mask, towards: Array) -> Mask:
 
     A strip counts where much of it, from the far end of what is supported to the near one, is supported; all from the
     first to the last of one direction of travel is one carriageway, and it goes on to the frame's border, which fast
-    vehicles reach in too few frames to be seen often.
+    vehicles reach in too few frames to be followed.
 
     Args:
         small: camera of the small frame.
         support: (h, w).
-        towards: (h, w) how much more often a pixel moved towards VP1 than away from it.
+        towards: (h, w) how many more tracks run towards VP1 than away from it.
     """
     if not support.any():
         return support
@@ -209,9 +174,7 @@ def _straight(small: Camera, support: Mask, towards: Array) -> Mask:
     every, _ = np.histogram(across[road], edges)
     share = seen / np.maximum(every, 1)
     is_road = share >= _STRIP_SHARE * np.quantile(share, _BEST_STRIPS)
-    # Near the camera motion may be too fast to tell its direction, so what is far away decides.
-    weights = (towards * ground[..., 0])[support & road]
-    way = np.histogram(across[support & road], edges, weights=weights)[0] >= 0
+    way = np.histogram(across[support & road], edges, weights=towards[support & road])[0] >= 0
     out = np.zeros(support.shape, dtype=np.bool_)
     for same in (way, ~way):
         strips = np.flatnonzero(is_road & same)
