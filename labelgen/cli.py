@@ -12,6 +12,7 @@ from labelgen import __version__
 from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
+from labelgen.commands.calibrate import calibrate
 from labelgen.commands.demo import demo
 from labelgen.commands.detect import detect
 from labelgen.commands.detector_test import detector_test
@@ -52,6 +53,7 @@ def root(
 
 app.command("boxcars", short_help="BoxCars116k's 3D boxes -> shards.")(boxcars)
 app.command("bcs-masks", short_help="Traffic videos, through vehicle masks -> shards.")(bcs_masks)
+app.command("calibrate", short_help="Calibrate a camera from its video alone.")(calibrate)
 app.command("rectify", short_help="Rectify one picture of a scene.")(rectify)
 app.command("road-mask", short_help="Mark the road in a video.")(road_mask)
 app.command("inspect", short_help="Say what shards hold.")(inspect)
