@@ -143,10 +143,9 @@ def _closed(support: Mask) -> Mask:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     clean = cv2.morphologyEx(support.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     clean = cv2.morphologyEx(np.pad(clean, size), cv2.MORPH_CLOSE, disc)[size:-size, size:-size]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(clean))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(clean))
     areas = stats[1:, cv2.CC_STAT_AREA]
-    large = 1 + np.flatnonzero(areas >= _PIECE_SHARE * areas.max()) if count > 1 else []
-    return np.isin(labels, large)
+    return np.isin(labels, 1 + np.flatnonzero(areas >= _PIECE_SHARE * areas.max(initial=0)))
 
 
 def _straight(small: Camera, support: Mask, towards: Array) -> Mask:
@@ -169,12 +168,13 @@ def _straight(small: Camera, support: Mask, towards: Array) -> Mask:
     road = below & (ground[..., 0] <= far)
     # On the road a line to VP1 is a line of one Y.
     across = np.where(road, ground[..., 1], np.nan)
-    edges = np.linspace(*np.nanquantile(across[support & road], [0, 1]), _STRIPS + 1)
-    seen, _ = np.histogram(across[support & road], edges)
+    supported = across[support & road]
+    edges = np.linspace(float(supported.min()), float(supported.max()), _STRIPS + 1)
+    seen, _ = np.histogram(supported, edges)
     every, _ = np.histogram(across[road], edges)
     share = seen / np.maximum(every, 1)
     is_road = share >= _STRIP_SHARE * np.quantile(share, _BEST_STRIPS)
-    way = np.histogram(across[support & road], edges, weights=towards[support & road])[0] >= 0
+    way = np.histogram(supported, edges, weights=towards[support & road])[0] >= 0
     out = np.zeros(support.shape, dtype=np.bool_)
     for same in (way, ~way):
         strips = np.flatnonzero(is_road & same)

@@ -75,7 +75,9 @@ def scale_from_distances(camera: Camera, distances: Sequence[KnownDistance]) -> 
     if len(known) > 1:
         errors = known - scale * measured
         spread = float(np.sqrt((errors**2).sum() / (len(known) - 1) / (measured**2).sum()) / scale)
-    return ScaleEstimate(scale, len(known), spread, "distance", {"worst_m": float(np.abs(known - scale * measured).max())})
+    return ScaleEstimate(
+        scale, len(known), spread, "distance", {"worst_m": float(np.abs(known - scale * measured).max())}
+    )
 
 
 def _units(unit: Camera, ends_px: ArrayLike, *, across: bool) -> float:

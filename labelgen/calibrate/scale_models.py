@@ -203,7 +203,9 @@ def _support(unit: Camera, points: Array, theta: Array) -> tuple[Array, Array]:
     own = np.take_along_axis(points[None] * stretch[..., None, :], farthest[..., None], axis=2)
     dx, dy = _DIRECTIONS
     by_depth = unit.focal / at[..., 2]
-    in_camera = np.stack([by_depth * dx, by_depth * dy, -by_depth * (dx * at[..., 0] + dy * at[..., 1]) / at[..., 2]], -1)
+    in_camera = np.stack(
+        [by_depth * dx, by_depth * dy, -by_depth * (dx * at[..., 0] + dy * at[..., 1]) / at[..., 2]], -1
+    )
     on_road = in_camera @ unit.axes.T
     by_size = on_road * own
     return reach, np.concatenate([on_road[..., :2], by_size.sum(axis=-1, keepdims=True), by_size], axis=-1)

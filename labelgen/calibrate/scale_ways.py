@@ -16,7 +16,9 @@ from labelgen.geometry import Camera
 
 __all__ = ["SCALE_WAYS", "ScaleWay", "scale_way"]
 
-SCALE_WAYS = "auto-models, auto-dimensions[:LENGTH,WIDTH,HEIGHT], distance:x1,y1,x2,y2,METRES or lane:x1,y1,x2,y2,METRES"
+SCALE_WAYS = (
+    "auto-models, auto-dimensions[:LENGTH,WIDTH,HEIGHT], distance:x1,y1,x2,y2,METRES or lane:x1,y1,x2,y2,METRES"
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,16 @@ from labelgen.errors import LabelgenError
 from labelgen.geometry.projective import Array, bounding_boxes
 from labelgen.geometry.rectification import Rectification
 
-__all__ = ["MaskLabels", "Outline", "Rule", "label_outlines", "mask_outline", "mask_polygon", "polygon_outline", "rectified_outline"]
+__all__ = [
+    "MaskLabels",
+    "Outline",
+    "Rule",
+    "label_outlines",
+    "mask_outline",
+    "mask_polygon",
+    "polygon_outline",
+    "rectified_outline",
+]
 
 _TANGENT_SHIFT = 0.7
 _MIDDLE_HALF = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
