@@ -85,7 +85,7 @@ def _hull(points: Array) -> Array:
 
 
 class BlobCollector:
-    """Rides on the pass over a video (`labelgen.calibrate.observe.Collector`) and keeps a fair sample of the silhouettes.
+    """Keeps a fair sample of the silhouettes in a video; a `labelgen.calibrate.observe.Collector`.
 
     It finds them with `BackgroundMasks` on small copies of a few frames per second; the first of them are kept until
     the empty scene can be learnt from them, and looked at then.

@@ -29,7 +29,7 @@ from labelgen.geometry.projective import Array
 __all__ = ["RoadMaskEstimate", "road_mask", "write_mask"]
 
 _WIDTH = 320
-# A track this long, px of the small picture, tells its direction; within this angle of the line to VP1 it runs along it.
+# A track this long, px of the small picture, tells its direction; within this angle of the line to VP1 it runs along.
 _SHORTEST_PX, _ALONG_DEG = 8.0, 8.0
 # How wide a track is drawn, how many must pass a pixel, absolutely and as a share of what passes the busiest tenth, and
 # how many of all that pass it must run along VP1.

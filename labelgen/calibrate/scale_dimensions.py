@@ -72,8 +72,8 @@ def scale_from_sizes(
     sizes, times = sizes_lwh[usable], np.asarray(times_s)[usable]
     if len(sizes) < _FEWEST:
         raise CalibrationError(
-            f"scale: {len(sizes)} silhouettes have a 3D box, at least {_FEWEST} are needed; use more of the video, or a "
-            "known distance (--scale distance:x1,y1,x2,y2,METRES)"
+            f"scale: {len(sizes)} silhouettes have a 3D box, at least {_FEWEST} are needed; use more of the video, "
+            "or a known distance (--scale distance:x1,y1,x2,y2,METRES)"
         )
     ratios = mean / np.median(sizes, axis=0)
     rng = np.random.default_rng(seed)

@@ -106,8 +106,8 @@ def scale_from_models(
     explained = int(np.count_nonzero(evidence[:, best] > np.log(2 * _UNKNOWN)))
     if explained < _FEWEST or best in (0, len(_GRID) - 1):
         raise CalibrationError(
-            f"scale: {explained} of {len(seen.sizes)} silhouettes look like vehicles along the road, at least {_FEWEST} "
-            "are needed; use more of the video, or a known distance (--scale distance:x1,y1,x2,y2,METRES)"
+            f"scale: {explained} of {len(seen.sizes)} silhouettes look like vehicles along the road, at least "
+            f"{_FEWEST} are needed; use more of the video, or a known distance (--scale distance:x1,y1,x2,y2,METRES)"
         )
     sigma = first + _vertex(evidence.sum(axis=0), best)
     return ScaleEstimate(

@@ -72,6 +72,7 @@ def _sizes(text: str) -> tuple[float, ...]:
         sizes = ()
     if len(sizes) != 3 or not all(0.1 < size < 100 for size in sizes):
         raise CalibrationError(
-            f"--scale auto-dimensions:{text}: expected the mean vehicle's LENGTH,WIDTH,HEIGHT in metres, as 4.27,1.74,1.51"
+            f"--scale auto-dimensions:{text}: expected the mean vehicle's LENGTH,WIDTH,HEIGHT in metres, as "
+            "4.27,1.74,1.51"
         )
     return sizes

@@ -68,7 +68,8 @@ def bcs_masks(
     """Label the vehicles of traffic videos through instance masks: rectified frames with 2D boxes and c_c.
 
     Calibration and road mask are looked for beside each input; where there are none they are made from the video itself
-    and kept in the output folder. Every mask becomes a label or is listed with the reason in rejects.jsonl. An interrupted run goes on where it stopped when the same command is given again.
+    and kept in the output folder. Every mask becomes a label or is listed with the reason in rejects.jsonl. An
+    interrupted run goes on where it stopped when the same command is given again.
     """
     from labelgen.calibrate.automatic import complete_scene
     from labelgen.errors import LabelgenError

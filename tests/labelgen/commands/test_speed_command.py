@@ -56,6 +56,7 @@ def speeds(folder: Path, variant: str = "transform3d") -> list[float]:
         ("transform3d", "VP1-VP2", 1.0),
         ("transform2d", "VP2-VP3", 0.5),
         ("maskrcnn3d", "VP2-VP3", 0.5),
+        ("sochor", "VP2-VP3", 1.5),
         ("previous3d", "VP2-VP3", 1.0),
         ("previous2d", "VP2-VP3", 1.0),
         ("orig2d", "VP2-VP3", 2.0),
