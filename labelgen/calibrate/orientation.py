@@ -28,8 +28,7 @@ __all__ = ["Orientation", "estimate_orientation", "road_camera"]
 _UNIT_WIDTHS = 1.2
 _SHORTEST_SHARE = 0.04
 _LONGEST_SCATTER = 0.03
-# A vehicle's features lie within this share of their depth below the horizon, and within these shares of the unit.
-_REACH, _REACH_LIMITS = 0.3, (0.01, 0.12)
+_LEAST_DEPTH = 0.03
 _RESAMPLES = 12
 _BLOCK_S = 3.0
 _RESAMPLED_EDGES = 4000
@@ -72,7 +71,8 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
     numbers, lines = _usable_lines(seen, centre, unit)
     check_camera(name, seen, len(lines), len(lines))
     first = find_travel(lines)
-    vehicles = group_vehicles([seen.tracks[k] for k in numbers], _reach(lines, first.direction) * unit)
+    horizon = _horizon_px(first.direction, centre, unit)
+    vehicles = group_vehicles([seen.tracks[k] for k in numbers], horizon, _LEAST_DEPTH * unit)
     weights = np.bincount(vehicles)[vehicles] ** -0.5
     count = _weighty(vehicles, lines)
     check_camera(name, seen, len(lines), count)
@@ -129,12 +129,9 @@ def _usable_lines(seen: Observations, pp: Array, unit: float) -> tuple[NDArray[n
     return np.flatnonzero(kept), lines[kept]
 
 
-def _reach(lines: TrackLines, vp1: Array) -> Array:
-    """(N,) how far apart features of one vehicle may be, units: the nearer the horizon, the smaller the vehicle."""
-    depth = np.full(len(lines), np.inf)
-    if abs(vp1[2]) > 1e-3:
-        depth = np.abs(lines.centre[:, 1] - vp1[1] / vp1[2])
-    return np.clip(_REACH * depth, *_REACH_LIMITS)
+def _horizon_px(vp1: Array, pp: Array, unit: float) -> float:
+    """y of the horizon where VP1 is; far above the picture where that is at infinity."""
+    return float(pp[1] + unit * np.clip(vp1[1] / vp1[2] if abs(vp1[2]) > 1e-3 else -np.inf, -5.0, 5.0))
 
 
 def _weighty(vehicles: NDArray[np.int64], lines: TrackLines) -> int:

@@ -40,6 +40,8 @@ _NOISE_PX = 1.0
 _TUKEY = 3.0
 # A line's vote counts by its length up to this much, in units.
 _LONG = 0.25
+# Features of one vehicle are linked over gaps of this share of their depth below the horizon: of the camera's height.
+_REACH = 0.15
 # Within this deviation a track counts as going along the road: lanes merge, and drivers change them.
 _EXPLAINED_DEG = 5.0
 
@@ -223,16 +225,16 @@ def _sideways(v: Array) -> Array:
     return side / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
 
 
-def group_vehicles(tracks: Sequence[Track], reach_px: ArrayLike) -> NDArray[np.int64]:
-    """(N,) number of the vehicle each track belongs to: features that stay together are on one thing.
+def group_vehicles(tracks: Sequence[Track], horizon_px: float, least_px: float) -> NDArray[np.int64]:
+    """(N,) number of the vehicle each track belongs to: features that keep their distance are on one thing.
 
     Args:
         tracks: N tracks.
-        reach_px: (N,) or one for all, how far apart two features of a vehicle may be.
+        horizon_px: y of the horizon; far from the picture where VP1 is.
+        least_px: depth below the horizon under which vehicles are too small to tell apart.
     """
     starts, ends = (np.array([track.times_s[k] for track in tracks]) for k in (0, -1))
     paths = np.array([_timely(track) for track in tracks]).reshape(-1, _SAMPLES, 2)
-    reach = np.broadcast_to(np.asarray(reach_px, dtype=np.float64), len(tracks))
     parent = np.arange(len(tracks))
 
     def root(i: int) -> int:
@@ -247,9 +249,13 @@ def group_vehicles(tracks: Sequence[Track], reach_px: ArrayLike) -> NDArray[np.i
         last = np.minimum(ends[alive], ends[i])
         first = np.full(len(alive), starts[i])
         both = np.full(len(alive), i)
-        before, after = (_at(paths, starts, ends, alive, t) - _at(paths, starts, ends, both, t) for t in (first, last))
-        size = np.maximum(np.hypot(*before.T), np.hypot(*after.T))
-        together = (size < reach[i]) & (np.hypot(*(after - before).T) < 0.35 * size + 0.1 * reach[i])
+        apart = []
+        for moment in (first, last):
+            mine, theirs = (_at(paths, starts, ends, who, moment) for who in (both, alive))
+            # What drives along the road grows with its depth below the horizon: in that measure it is rigid.
+            apart.append((theirs - mine) / np.maximum(np.abs(mine[:, 1:] - horizon_px), least_px))
+        size = np.maximum(*(np.hypot(*d.T) for d in apart))
+        together = (size < _REACH) & (np.hypot(*(apart[1] - apart[0]).T) < 0.2 * size + 0.02)
         for j in alive[together].tolist():
             parent[root(i)] = root(j)
         alive = np.append(alive, i)
