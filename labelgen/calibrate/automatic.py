@@ -61,7 +61,8 @@ def complete_scene(
         mask_path=kept["road mask"] if "road mask" in missing else scene.mask_path,
     )
     if to_make:
-        say(f"{scene.name}: no {' and no '.join(sorted(to_make))} given; making them from the video itself")
+        them = "it" if len(to_make) == 1 else "them"
+        say(f"{scene.name}: no {' and no '.join(sorted(to_make))} given; making {them} from the video itself")
         _make(scene, to_make, scale, need_scale, say)
     return scene
 

@@ -40,7 +40,9 @@ def cuboid_blobs(camera: Camera, count: int, size: tuple[float, float, float]) -
     return [Blob(i, float(i), hull(v)) for i, v in enumerate(vertices) if inside(camera, v)]
 
 
-def vehicle_blobs(camera: Camera, count: int, *, seed: int = 0, noise_px: float = 0.0, merged: float = 0.0) -> list[Blob]:
+def vehicle_blobs(
+    camera: Camera, count: int, *, seed: int = 0, noise_px: float = 0.0, merged: float = 0.0
+) -> list[Blob]:
     """Outlines of vehicles of the common types, each with a size of its own; a share of them two in one outline."""
     rng = np.random.default_rng(seed)
     bodies = common_bodies()
@@ -193,10 +195,10 @@ def test_distances_that_are_none(text: str, reason: str) -> None:
 
 def test_distances_that_cannot_be_measured() -> None:
     camera = make_camera()
-    with pytest.raises(CalibrationError, match="lies on or above the horizon.*give two points on the road"):
+    with pytest.raises(CalibrationError, match=r"lies on or above the horizon.*give two points on the road"):
         scale_from_distances(camera, [KnownDistance(((900.0, -4000.0), (900.0, 700.0)), 10.0)])
     lane = parse_distance(f"{ends(camera, (20.0, 1.0), (45.0, 1.0))},3.5", across=True)
-    with pytest.raises(CalibrationError, match="both lie on one line along the road|gives none"):
+    with pytest.raises(CalibrationError, match=r"both lie on one line along the road|gives none"):
         scale_from_distances(camera, [replace(lane, ends_px=(lane.ends_px[0], lane.ends_px[0]))])
     with pytest.raises(CalibrationError, match="no known distance given"):
         scale_from_distances(camera, [])

@@ -121,6 +121,16 @@ def test_what_an_earlier_run_made_is_used_again(
         assert f"note: bare: no {what} given; using {kept / name} of an earlier run" in said
 
 
+def test_a_road_mask_alone_is_made(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    video = bare_video(scene, tmp_path)
+    calibration = ("--calibration", scene / "road.calibration.json")
+    masks = ("--from", f"masks:coco:{scene / 'masks.json'}")
+    assert run(video, *masks, *calibration, "--out", tmp_path / "out") == 0
+    assert sorted(speeds(tmp_path / "out" / "bare")) == pytest.approx(sorted(SPEEDS), abs=0.5)
+    assert (tmp_path / "out" / "bare" / "road_mask.png").is_file()
+    assert "note: bare: no road mask given; making it from the video itself" in capsys.readouterr().err
+
+
 def test_a_video_that_cannot_be_calibrated(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Four seconds with three vehicles are too little."""
     assert run(bare_video(scene, tmp_path), "--out", tmp_path / "out") == 2
@@ -266,8 +276,7 @@ WRONG = [
     ([], ("--size", "large"), "unknown size"),
     ([], ("--rule", "none"), "unknown rule"),
     ([], ("--calibration", "nowhere.json"), "no calibration at --calibration nowhere.json"),
-    (["road.calibration.json"], (), "no calibration"),
-    (["road.mask.png"], (), "no road mask"),
+    (["road.calibration.json"], (), "give more video"),
     (["road.mp4"], (), "no such file or folder"),
 ]
 
