@@ -38,7 +38,7 @@ _HORIZON_MARGIN = 0.06
 _CLOSE_SHARE, _PIECE_SHARE = 0.03, 0.1
 # The road ends where this share of its support lies nearer. Of the strips along it those count that are supported over
 # this share of what the best ones are.
-_FAR_PERCENTILE, _STRIPS, _STRIP_SHARE, _BEST_STRIPS = 99.5, 160, 0.25, 0.9
+_FAR_PERCENTILE, _STRIPS, _STRIP_SHARE, _BEST_STRIPS = 99.5, 160, 0.3, 0.9
 _LEAST_TRACKS, _LEAST_AREA = 10, 0.01
 
 Mask = NDArray[np.bool_]
