@@ -142,7 +142,7 @@ def find_across(
     if best is None:
         return Across(0.0, _FOCAL_MEDIAN * width, _TILT_SD, _FOCAL_SD, 0.0, 0.0)
     near = _angles(edges, directions(vp1, np.array(best[0]), np.array(best[1]))[0]) < np.radians(1.5)
-    chance = np.radians(1.5) / (np.pi / 2)
+    chance = 1.5 / 90
     support_share = float(near.mean()) - chance if len(edges) else 0.0
     return Across(*best, *spread, support_share * len(edges), support_share)
 

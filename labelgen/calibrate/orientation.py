@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.calibrate.across import Across, Edges, directions, edges_of, find_across
+from labelgen.calibrate.bend import bend_deg
 from labelgen.calibrate.confidence import Evidence, check_across, check_camera, check_travel
 from labelgen.calibrate.observe import Observations
 from labelgen.calibrate.travel import (
@@ -15,7 +16,6 @@ from labelgen.calibrate.travel import (
     Travel,
     find_travel,
     group_vehicles,
-    heading_change_deg,
     refine_travel,
     track_lines,
 )
@@ -79,14 +79,14 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
     travel = refine_travel(lines, first.direction, vehicles, weights)
     importance = weights * lines.length
     along_share = float(np.average(travel.explained, weights=importance))
-    bend_deg = heading_change_deg(lines, travel, weights)
-    check_travel(name, along_share, bend_deg)
+    bend = bend_deg(lines, travel, weights)
+    check_travel(name, along_share, bend)
 
     edges = edges_of(seen.edgelets, centre, unit)
     road = lines.centre[travel.explained]
     temper = min(1.0, _EDGES_PER_VEHICLE * count / max(len(edges), 1))
     across = find_across(edges, travel.direction, width / unit, road=road, temper=temper)
-    check_across(name, across.support, across.support_share)
+    check_across(name, across.support, across.support_share, float(np.degrees(across.tilt_sd)))
     camera = road_camera(travel.direction, across.tilt, across.focal, centre, unit, seen.size_wh)
     spread = _Resampler(seen, lines, vehicles, weights, edges, road, width / unit).spread(travel, across, temper, resamples)
     evidence = Evidence(
@@ -94,7 +94,7 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
         tracks=len(lines),
         edges=len(edges),
         along_share=along_share,
-        bend_deg=bend_deg,
+        bend_deg=bend,
         across_edges=across.support,
         across_share=across.support_share,
         vp1_deg=spread[0],
