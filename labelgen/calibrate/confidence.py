@@ -11,7 +11,16 @@ import numpy as np
 from labelgen.calibrate.observe import Observations
 from labelgen.errors import CalibrationError
 
-__all__ = ["CalibrationRefusedError", "Evidence", "Reason", "check_across", "check_camera", "check_travel", "doubts", "overall"]
+__all__ = [
+    "CalibrationRefusedError",
+    "Evidence",
+    "Reason",
+    "check_across",
+    "check_camera",
+    "check_travel",
+    "doubts",
+    "overall",
+]
 
 _FEWEST_VEHICLES = 5
 _FEWEST_TRACKS = 12

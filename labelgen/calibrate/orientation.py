@@ -53,7 +53,9 @@ class Orientation:
     supporting: NDArray[np.int64]
 
 
-def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = None, *, resamples: int = _RESAMPLES) -> Orientation:
+def estimate_orientation(
+    name: str, seen: Observations, pp: ArrayLike | None = None, *, resamples: int = _RESAMPLES
+) -> Orientation:
     """VP1, VP2 and the focal length.
 
     Args:
@@ -88,7 +90,9 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
     across = find_across(edges, travel.direction, width / unit, road=road, temper=temper)
     check_across(name, across.support, across.support_share, float(np.degrees(across.tilt_sd)))
     camera = road_camera(travel.direction, across.tilt, across.focal, centre, unit, seen.size_wh)
-    spread = _Resampler(seen, lines, vehicles, weights, edges, road, width / unit).spread(travel, across, temper, resamples)
+    spread = _Resampler(seen, lines, vehicles, weights, edges, road, width / unit).spread(
+        travel, across, temper, resamples
+    )
     evidence = Evidence(
         vehicles=count,
         tracks=len(lines),
@@ -106,9 +110,7 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
     return Orientation(camera, evidence, numbers[travel.explained])
 
 
-def road_camera(
-    vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]
-) -> Camera:
+def road_camera(vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]) -> Camera:
     """The camera of a normalised VP1 (3,), a tilt and a focal length in units."""
     v = vp1 * (np.sign(vp1[2]) or 1.0)
     v = v / max(float(v[2]), unit / _FARTHEST_PX * float(np.linalg.norm(v[:2])), 1e-12)
@@ -176,7 +178,9 @@ class _Resampler:
             again = refine_travel(
                 self._lines[kept], travel.direction, self._vehicles[kept], (self._weights * times)[kept]
             )
-            edges = self._edges[np.repeat(np.arange(len(self._edges)), drawn[np.searchsorted(blocks, self._edge_blocks)])]
+            edges = self._edges[
+                np.repeat(np.arange(len(self._edges)), drawn[np.searchsorted(blocks, self._edge_blocks)])
+            ]
             other = find_across(
                 edges, again.direction, self._width, road=self._road, temper=temper * self._share, around=across
             )

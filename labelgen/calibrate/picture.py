@@ -77,9 +77,7 @@ def _draw_grid(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: 
     """Draw the grid; returns its steps along and across."""
     x, y = _region(picture, camera, tracks, zoom)
     steps = _step(x[1] - x[0], 12), _step(y[1] - y[0], 8)
-    at_x, at_y = (
-        np.arange(np.floor(r[0] / s), np.ceil(r[1] / s) + 1) * s for r, s in zip((x, y), steps, strict=True)
-    )
+    at_x, at_y = (np.arange(np.floor(r[0] / s), np.ceil(r[1] / s) + 1) * s for r, s in zip((x, y), steps, strict=True))
     for value in at_y:
         along = np.linspace(at_x[0], at_x[-1], _POINTS_PER_LINE)
         _draw_on_road(picture, camera, np.stack([along, np.full_like(along, value)], axis=1))

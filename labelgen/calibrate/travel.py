@@ -184,18 +184,14 @@ def refine_travel(
     return Travel(v, np.abs(planes @ v) < allowed, used, float(np.degrees(wander)))
 
 
-def _per_vehicle(
-    off: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float
-) -> Array:
+def _per_vehicle(off: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float) -> Array:
     """(N,) heading of each track's vehicle, rad to the side of VP1, held back by how little vehicles wander."""
     top = np.bincount(vehicles, weights * side * off)
     bottom = np.bincount(vehicles, weights * side**2) + wander**-2
     return np.asarray((-top / bottom)[vehicles])
 
 
-def _normal_matrix(
-    planes: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float
-) -> Array:
+def _normal_matrix(planes: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float) -> Array:
     """(3, 3) normal matrix for VP1 once each vehicle's heading is eliminated."""
     along = np.stack([np.bincount(vehicles, weights * side * planes[:, k]) for k in range(3)], axis=1)
     bottom = np.bincount(vehicles, weights * side**2) + wander**-2
