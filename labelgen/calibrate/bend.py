@@ -1,7 +1,7 @@
 """Whether the road bends: two signs that have to agree, since each alone has innocent causes.
 
-Straight ways stay straight in a picture, so tracks that are bent there tell a bend, or a lens, or a lane change. And on a
-bend vehicles head elsewhere far away than nearby; so they do where a slip road leaves. A bend shows both.
+Straight ways stay straight in a picture, so tracks that are bent there tell a bend, or a lens, or a lane change. And
+on a bend vehicles head elsewhere far away than nearby; so they do where a slip road leaves. A bend shows both.
 """
 
 from __future__ import annotations

@@ -151,8 +151,8 @@ def check_travel(name: str, along_share: float, bend_deg: float) -> None:
     if abs(bend_deg) > _BEND_DEG:
         raise CalibrationRefusedError(
             Reason.CURVED_ROAD,
-            f"{name}: curved road: it turns by about {abs(bend_deg):.1f} degrees while vehicles are seen; choose a view "
-            "of a straight stretch",
+            f"{name}: curved road: it turns by about {abs(bend_deg):.1f} degrees while vehicles are seen; choose a "
+            "view of a straight stretch",
         )
     if along_share < _LEAST_ALONG:
         raise CalibrationRefusedError(

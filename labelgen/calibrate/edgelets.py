@@ -55,7 +55,7 @@ class EdgeletFinder:
         self._calls += 1
         if self._calls % self._every:
             return
-        near = cv2.dilate(moving, np.ones((3, 3), np.uint8))
+        near = np.asarray(cv2.dilate(moving, np.ones((3, 3), np.uint8)), dtype=np.uint8)
         blocks = cv2.morphologyEx(
             cv2.dilate(near, np.ones((9, 9), np.uint8)), cv2.MORPH_ERODE, np.ones((5, 5), np.uint8)
         )

@@ -190,7 +190,9 @@ class CameraShake:
     def see(self, grey: Grey) -> None:
         """Look at a frame, (h, w) uint8; call it a few times per second."""
         if self._reference is not None and len(self._corners) >= 12:
-            now, found, _ = cv2.calcOpticalFlowPyrLK(self._reference, grey, self._corners, None, maxLevel=4, **_KLT)
+            now, found, _ = cv2.calcOpticalFlowPyrLK(
+                self._reference, grey, self._corners, self._corners.copy(), maxLevel=4, **_KLT
+            )
             held = found[:, 0] > 0
             moved = (now - self._corners)[held].reshape(-1, 2)
             lost = held.mean() < 0.3

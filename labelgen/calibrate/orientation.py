@@ -75,7 +75,7 @@ def estimate_orientation(
     first = find_travel(lines)
     horizon = _horizon_px(first.direction, centre, unit)
     vehicles = group_vehicles([seen.tracks[k] for k in numbers], horizon, _LEAST_DEPTH * unit)
-    weights = np.bincount(vehicles)[vehicles] ** -0.5
+    weights: Array = np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5
     count = _weighty(vehicles, lines)
     check_camera(name, seen, len(lines), count)
     travel = refine_travel(lines, first.direction, vehicles, weights)

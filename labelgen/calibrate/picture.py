@@ -17,7 +17,7 @@ from labelgen.geometry.projective import Array
 __all__ = ["draw_calibration"]
 
 _SHOWN_WIDTH = 1280
-_MOST_TRACKS = 250
+_MOST_TRACKS = 120
 _STEPS = (1, 2, 5, 10, 20, 50)
 _POINTS_PER_LINE = 60
 
@@ -37,8 +37,8 @@ def draw_calibration(
         (h, w, 3) uint8 BGR, at least 1280 px wide.
     """
     zoom = max(1.0, _SHOWN_WIDTH / image.shape[1])
-    picture = np.ascontiguousarray(cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
-    picture = np.asarray(picture * 0.8, dtype=np.uint8)
+    enlarged = np.asarray(cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
+    picture = np.asarray(enlarged * 0.8, dtype=np.uint8)
     unit = "m"
     if camera.scale is None:
         unit = "camera heights"

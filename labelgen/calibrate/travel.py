@@ -58,7 +58,7 @@ class TrackLines:
         direction: (N, 2) unit vectors along the motion.
         length: (N,).
         scatter: (N,) robust deviation of a track's points from its line.
-        halves: (N, 2, 4) centre and direction of a track's two halves, the one nearer to the picture's lower border first.
+        halves: (N, 2, 4) centre and direction of a track's two halves, the lower one in the picture first.
         time_s: (N,) middle of each track.
         pixel: one px in normalised units.
     """
