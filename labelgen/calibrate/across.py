@@ -1,15 +1,15 @@
 """VP2, the direction across the road, and with it the focal length: what edges on vehicles say once VP1 is known.
 
 VP1 leaves two unknowns: the tilt of the horizon, on which VP1 and VP2 lie, and the focal length, which fixes how far
-apart they are for being orthogonal. Every pair of the two gives VP2 and VP3. Edges of vehicles run along, across and up,
-or somewhere else; how probable all edges are together is computed for a grid of pairs. VP2 may lie at infinity: then the
-tilt is all the edges tell, and the prior decides on the focal length, which the spread reports.
+apart they are for being orthogonal. Every pair of the two gives VP2 and VP3. Edges of vehicles run along, across and
+up, or somewhere else; how probable all edges are together is computed for a grid of pairs. VP2 may lie at infinity:
+then the tilt is all the edges tell, and the prior decides on the focal length, which the spread reports.
 
-Convention: normalised coordinates (px - pp) / unit, as in `travel`. The tilt is the angle of the horizon in the picture,
-rad, positive when it falls to the right. A focal length is in units.
+Convention: normalised coordinates (px - pp) / unit, as in `travel`. The tilt is the angle of the horizon in the
+picture, rad, positive when it falls to the right. A focal length is in units.
 
-Source: Dubska et al., BMVC 2014 (the constraint, diamond space); Sochor et al., CVIU 2017 (edges of vehicles). The joint
-likelihood over tilt and focal length is this project's.
+Source: Dubska et al., BMVC 2014 (the constraint, diamond space); Sochor et al., CVIU 2017 (edges of vehicles). The
+joint likelihood over tilt and focal length is this project's.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def find_across(
     if best is None:
         return Across(0.0, _FOCAL_MEDIAN * width, _TILT_SD, _FOCAL_SD, 0.0, 0.0)
     near = _angles(edges, directions(vp1, np.array(best[0]), np.array(best[1]))[0]) < np.radians(1.5)
-    chance = np.radians(1.5) / (np.pi / 2)
+    chance = 1.5 / 90
     support_share = float(near.mean()) - chance if len(edges) else 0.0
     return Across(*best, *spread, support_share * len(edges), support_share)
 
@@ -178,7 +178,7 @@ def _log_likelihood(edges: Edges, vp1: Array, tilt: Array, focal: Array) -> Arra
     step = max(1, 2_000_000 // max(len(edges), 1))
     for start in range(0, len(vp2), step):
         part = np.s_[start : start + step]
-        density = anywhere
+        density = np.full((len(edges), 1), anywhere)
         for vp, share in ((vp2[part], _SHARES[0]), (vp3[part], _SHARES[1])):
             z = _angles(edges, vp) / edges.deviation[:, None]
             density = density + share * (2 / np.pi) / (edges.deviation[:, None] * (1 + z * z))
@@ -187,13 +187,13 @@ def _log_likelihood(edges: Edges, vp1: Array, tilt: Array, focal: Array) -> Arra
 
 
 def _angles(edges: Edges, vp: Array) -> Array:
-    """(N,) or (N, M) angle in the picture, rad, 0 to pi / 2, between edges and the direction to points (3,) or (M, 3)."""
+    """(N,) or (N, M) angle in the picture, 0 to pi / 2, between edges and the direction to points (3,) or (M, 3)."""
     several = vp.ndim == 2
     points = np.atleast_2d(vp).astype(np.float32)
     (mx, my), (dx, dy) = (a.astype(np.float32).T[:, :, None] for a in (edges.middle, edges.direction))
     to_x, to_y = points[:, 0] - mx * points[:, 2], points[:, 1] - my * points[:, 2]
     angle = np.arctan2(np.abs(dx * to_y - dy * to_x), np.abs(dx * to_x + dy * to_y))
-    return angle if several else angle[:, 0]
+    return np.asarray(angle if several else angle[:, 0])
 
 
 def _moments(density: Array, tilts: Array, log_focals: Array, best: tuple[float, float]) -> tuple[float, float]:

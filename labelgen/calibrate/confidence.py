@@ -11,7 +11,16 @@ import numpy as np
 from labelgen.calibrate.observe import Observations
 from labelgen.errors import CalibrationError
 
-__all__ = ["CalibrationRefusedError", "Evidence", "Reason", "check_across", "check_camera", "check_travel", "doubts", "overall"]
+__all__ = [
+    "CalibrationRefusedError",
+    "Evidence",
+    "Reason",
+    "check_across",
+    "check_camera",
+    "check_travel",
+    "doubts",
+    "overall",
+]
 
 _FEWEST_VEHICLES = 5
 _FEWEST_TRACKS = 12
@@ -19,9 +28,10 @@ _FEWEST_TRACKS = 12
 _SHIFT, _SHIFTING_LOOKS, _DRIFT = 0.012, 0.4, 0.05
 _LEAST_ALONG = 0.65
 _BEND_DEG = 3.0
-_LEAST_EDGES, _LEAST_EDGE_SHARE = 40.0, 0.025
+_LEAST_EDGES, _LEAST_EDGE_SHARE = 40.0, 0.06
+_WORST_TILT_DEG = 2.0
 # Spreads at which a figure is halfway to useless: VP1 and tilt in degrees, the focal length as a share.
-_HALFWAY = {"vp1_deg": 0.6, "tilt_deg": 1.0, "focal": 0.08}
+_HALFWAY = {"vp1_deg": 0.8, "tilt_deg": 1.2, "focal": 0.12}
 
 
 class Reason(StrEnum):
@@ -55,7 +65,7 @@ class Evidence:
     Args:
         vehicles, tracks, edges: how many there were.
         along_share: share of the tracks, by vehicle, that go along VP1.
-        bend_deg: by how much vehicles turn along their tracks.
+        bend_deg: by how much the road turns.
         across_edges, across_share: edges that point to VP2 in excess of chance, and their share.
         vp1_deg, tilt_deg, focal: spread over resamples: degrees, degrees, and a share of the focal length.
         drift: share of the picture's width.
@@ -141,7 +151,7 @@ def check_travel(name: str, along_share: float, bend_deg: float) -> None:
     if abs(bend_deg) > _BEND_DEG:
         raise CalibrationRefusedError(
             Reason.CURVED_ROAD,
-            f"{name}: curved road: vehicles turn by about {abs(bend_deg):.1f} degrees within their tracks; choose a "
+            f"{name}: curved road: it turns by about {abs(bend_deg):.1f} degrees while vehicles are seen; choose a "
             "view of a straight stretch",
         )
     if along_share < _LEAST_ALONG:
@@ -152,13 +162,18 @@ def check_travel(name: str, along_share: float, bend_deg: float) -> None:
         )
 
 
-def check_across(name: str, edges: float, share: float) -> None:
+def check_across(name: str, edges: float, share: float, tilt_deg: float) -> None:
     """Refuse a scene without edges across the road.
+
+    Args:
+        name: of the video.
+        edges, share: that point to VP2, in excess of chance.
+        tilt_deg: how well they tell the tilt of the horizon.
 
     Raises:
         CalibrationRefusedError: too few of them.
     """
-    if edges < _LEAST_EDGES or share < _LEAST_EDGE_SHARE:
+    if edges < _LEAST_EDGES or share < _LEAST_EDGE_SHARE or tilt_deg > _WORST_TILT_DEG:
         raise CalibrationRefusedError(
             Reason.NO_PERPENDICULAR_EDGES,
             f"{name}: no perpendicular edges: only {max(edges, 0):.0f} edges on vehicles ({max(share, 0):.1%}) point "
@@ -173,8 +188,8 @@ def doubts(evidence: Evidence) -> list[str]:
         out.append(f"only about {evidence.vehicles} vehicles")
     if evidence.along_share < 0.85:
         out.append(f"only {evidence.along_share:.0%} of the tracks go along the road")
-    if abs(evidence.bend_deg) > _BEND_DEG / 2:
-        out.append(f"the road may bend: vehicles turn by {abs(evidence.bend_deg):.1f} degrees")
+    if abs(evidence.bend_deg) > 0.4 * _BEND_DEG:
+        out.append(f"the road may bend: it turns by about {abs(evidence.bend_deg):.1f} degrees")
     if evidence.vp1_deg > 0.5:
         out.append(f"VP1 is known to {evidence.vp1_deg:.1f} degrees only")
     if evidence.tilt_deg > 1.0:

@@ -55,8 +55,10 @@ class EdgeletFinder:
         self._calls += 1
         if self._calls % self._every:
             return
-        near = cv2.dilate(moving, np.ones((3, 3), np.uint8))
-        blocks = cv2.morphologyEx(cv2.dilate(near, np.ones((9, 9), np.uint8)), cv2.MORPH_ERODE, np.ones((5, 5), np.uint8))
+        near = np.asarray(cv2.dilate(moving, np.ones((3, 3), np.uint8)), dtype=np.uint8)
+        blocks = cv2.morphologyEx(
+            cv2.dilate(near, np.ones((9, 9), np.uint8)), cv2.MORPH_ERODE, np.ones((5, 5), np.uint8)
+        )
         _, _, stats, _ = cv2.connectedComponentsWithStats(blocks)
         zones = sorted(stats[1:].tolist(), key=lambda zone: -zone[4])[:_MOST_ZONES]
         for x, y, w, h, _ in zones:
@@ -74,9 +76,7 @@ class EdgeletFinder:
         """(N, 5) end points x0, y0, x1, y1 in px of the full frame, pixels as areas, and time, s."""
         return np.concatenate(self._found) if self._found else np.empty((0, 5))
 
-    def _zone(
-        self, part: NDArray[np.uint8], origin: tuple[int, int], near: NDArray[np.uint8], time_s: float
-    ) -> None:
+    def _zone(self, part: NDArray[np.uint8], origin: tuple[int, int], near: NDArray[np.uint8], time_s: float) -> None:
         segments = self._detector.detect(np.ascontiguousarray(part))[0]
         if segments is None:
             return

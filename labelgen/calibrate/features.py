@@ -106,8 +106,12 @@ class FeatureTracker:
         before = np.array([live.points[-2] if len(live.points) > 1 else live.points[-1] for live in self._live])
         guess = (2 * last - before).astype(np.float32)
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-        now, found, _ = cv2.calcOpticalFlowPyrLK(self._previous, grey, last, guess.copy(), maxLevel=4, flags=flags, **_KLT)
-        back, again, _ = cv2.calcOpticalFlowPyrLK(grey, self._previous, now, last.copy(), maxLevel=1, flags=flags, **_KLT)
+        now, found, _ = cv2.calcOpticalFlowPyrLK(
+            self._previous, grey, last, guess.copy(), maxLevel=4, flags=flags, **_KLT
+        )
+        back, again, _ = cv2.calcOpticalFlowPyrLK(
+            grey, self._previous, now, last.copy(), maxLevel=1, flags=flags, **_KLT
+        )
         good = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.abs(back - last).max(axis=1) < _BACKWARD_PX)
         high = np.array(grey.shape[::-1]) - 1 - _MARGIN
         good &= ((now > _MARGIN) & (now < high)).all(axis=1)
@@ -186,7 +190,9 @@ class CameraShake:
     def see(self, grey: Grey) -> None:
         """Look at a frame, (h, w) uint8; call it a few times per second."""
         if self._reference is not None and len(self._corners) >= 12:
-            now, found, _ = cv2.calcOpticalFlowPyrLK(self._reference, grey, self._corners, None, maxLevel=4, **_KLT)
+            now, found, _ = cv2.calcOpticalFlowPyrLK(
+                self._reference, grey, self._corners, self._corners.copy(), maxLevel=4, **_KLT
+            )
             held = found[:, 0] > 0
             moved = (now - self._corners)[held].reshape(-1, 2)
             lost = held.mean() < 0.3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -55,7 +54,7 @@ class Observations:
         duration_s: how much of the video was looked at.
         tracks: features on moving things, in order of their end.
         edgelets: (N, 5) straight edges on moving things: x0, y0, x1, y1 in px, and time, s.
-        shifts: (L,) by how much of the picture's width most of the scene had shifted within a few seconds, look by look.
+        shifts: (L,) share of the picture's width by which most of the scene had shifted within a few seconds, per look.
         drift: by how much of the picture's width the camera drifted in all.
         background: (H, W, 3) uint8 RGB, the empty road, full size; None where it could not be learnt.
         ended: whether the video was seen to its end (or to the duration asked for), not stopped early.

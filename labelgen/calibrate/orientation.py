@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.calibrate.across import Across, Edges, directions, edges_of, find_across
+from labelgen.calibrate.bend import bend_deg
 from labelgen.calibrate.confidence import Evidence, check_across, check_camera, check_travel
 from labelgen.calibrate.observe import Observations
 from labelgen.calibrate.travel import (
@@ -15,7 +16,6 @@ from labelgen.calibrate.travel import (
     Travel,
     find_travel,
     group_vehicles,
-    heading_change_deg,
     refine_travel,
     track_lines,
 )
@@ -53,7 +53,9 @@ class Orientation:
     supporting: NDArray[np.int64]
 
 
-def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = None, *, resamples: int = _RESAMPLES) -> Orientation:
+def estimate_orientation(
+    name: str, seen: Observations, pp: ArrayLike | None = None, *, resamples: int = _RESAMPLES
+) -> Orientation:
     """VP1, VP2 and the focal length.
 
     Args:
@@ -73,28 +75,30 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
     first = find_travel(lines)
     horizon = _horizon_px(first.direction, centre, unit)
     vehicles = group_vehicles([seen.tracks[k] for k in numbers], horizon, _LEAST_DEPTH * unit)
-    weights = np.bincount(vehicles)[vehicles] ** -0.5
+    weights: Array = np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5
     count = _weighty(vehicles, lines)
     check_camera(name, seen, len(lines), count)
     travel = refine_travel(lines, first.direction, vehicles, weights)
     importance = weights * lines.length
     along_share = float(np.average(travel.explained, weights=importance))
-    bend_deg = heading_change_deg(lines, travel, weights)
-    check_travel(name, along_share, bend_deg)
+    bend = bend_deg(lines, travel, weights)
+    check_travel(name, along_share, bend)
 
     edges = edges_of(seen.edgelets, centre, unit)
     road = lines.centre[travel.explained]
     temper = min(1.0, _EDGES_PER_VEHICLE * count / max(len(edges), 1))
     across = find_across(edges, travel.direction, width / unit, road=road, temper=temper)
-    check_across(name, across.support, across.support_share)
+    check_across(name, across.support, across.support_share, float(np.degrees(across.tilt_sd)))
     camera = road_camera(travel.direction, across.tilt, across.focal, centre, unit, seen.size_wh)
-    spread = _Resampler(seen, lines, vehicles, weights, edges, road, width / unit).spread(travel, across, temper, resamples)
+    spread = _Resampler(seen, lines, vehicles, weights, edges, road, width / unit).spread(
+        travel, across, temper, resamples
+    )
     evidence = Evidence(
         vehicles=count,
         tracks=len(lines),
         edges=len(edges),
         along_share=along_share,
-        bend_deg=bend_deg,
+        bend_deg=bend,
         across_edges=across.support,
         across_share=across.support_share,
         vp1_deg=spread[0],
@@ -106,9 +110,7 @@ def estimate_orientation(name: str, seen: Observations, pp: ArrayLike | None = N
     return Orientation(camera, evidence, numbers[travel.explained])
 
 
-def road_camera(
-    vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]
-) -> Camera:
+def road_camera(vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]) -> Camera:
     """The camera of a normalised VP1 (3,), a tilt and a focal length in units."""
     v = vp1 * (np.sign(vp1[2]) or 1.0)
     v = v / max(float(v[2]), unit / _FARTHEST_PX * float(np.linalg.norm(v[:2])), 1e-12)
@@ -176,7 +178,9 @@ class _Resampler:
             again = refine_travel(
                 self._lines[kept], travel.direction, self._vehicles[kept], (self._weights * times)[kept]
             )
-            edges = self._edges[np.repeat(np.arange(len(self._edges)), drawn[np.searchsorted(blocks, self._edge_blocks)])]
+            edges = self._edges[
+                np.repeat(np.arange(len(self._edges)), drawn[np.searchsorted(blocks, self._edge_blocks)])
+            ]
             other = find_across(
                 edges, again.direction, self._width, road=self._road, temper=temper * self._share, around=across
             )

@@ -17,7 +17,7 @@ from labelgen.geometry.projective import Array
 __all__ = ["draw_calibration"]
 
 _SHOWN_WIDTH = 1280
-_MOST_TRACKS = 250
+_MOST_TRACKS = 120
 _STEPS = (1, 2, 5, 10, 20, 50)
 _POINTS_PER_LINE = 60
 
@@ -37,8 +37,8 @@ def draw_calibration(
         (h, w, 3) uint8 BGR, at least 1280 px wide.
     """
     zoom = max(1.0, _SHOWN_WIDTH / image.shape[1])
-    picture = np.ascontiguousarray(cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
-    picture = np.asarray(picture * 0.8, dtype=np.uint8)
+    enlarged = np.asarray(cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
+    picture = np.asarray(enlarged * 0.8, dtype=np.uint8)
     unit = "m"
     if camera.scale is None:
         unit = "camera heights"
@@ -77,9 +77,7 @@ def _draw_grid(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: 
     """Draw the grid; returns its steps along and across."""
     x, y = _region(picture, camera, tracks, zoom)
     steps = _step(x[1] - x[0], 12), _step(y[1] - y[0], 8)
-    at_x, at_y = (
-        np.arange(np.floor(r[0] / s), np.ceil(r[1] / s) + 1) * s for r, s in zip((x, y), steps, strict=True)
-    )
+    at_x, at_y = (np.arange(np.floor(r[0] / s), np.ceil(r[1] / s) + 1) * s for r, s in zip((x, y), steps, strict=True))
     for value in at_y:
         along = np.linspace(at_x[0], at_x[-1], _POINTS_PER_LINE)
         _draw_on_road(picture, camera, np.stack([along, np.full_like(along, value)], axis=1))

@@ -27,9 +27,12 @@ __all__ = [
     "Travel",
     "find_travel",
     "group_vehicles",
-    "heading_change_deg",
+    "planes_of",
     "refine_travel",
+    "sideways",
+    "spread_of",
     "track_lines",
+    "weighted_quantile",
 ]
 
 _SAMPLES = 16
@@ -55,7 +58,7 @@ class TrackLines:
         direction: (N, 2) unit vectors along the motion.
         length: (N,).
         scatter: (N,) robust deviation of a track's points from its line.
-        halves: (N, 2, 4) centre and direction of a track's two halves, the one nearer to the picture's lower border first.
+        halves: (N, 2, 4) centre and direction of a track's two halves, the lower one in the picture first.
         time_s: (N,) middle of each track.
         pixel: one px in normalised units.
     """
@@ -83,7 +86,7 @@ class TrackLines:
     @property
     def planes(self) -> Array:
         """(N, 3) unit normals of the planes through the camera and each line: the homogeneous lines."""
-        return _planes(self.centre, self.direction)
+        return planes_of(self.centre, self.direction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,17 +163,17 @@ def refine_travel(
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     v, limit, wander, used = start / np.linalg.norm(start), 6.0, _WANDER[1], given
     for _ in range(_ITERATIONS):
-        side = planes @ _sideways(v)
+        side = planes @ sideways(v)
         distance = np.sqrt(np.maximum(1 - (middle @ v) ** 2, 1e-6))
         noise = (lines.scatter + _NOISE_PX * lines.pixel) * distance / lines.length
         heading = _per_vehicle(planes @ v, side, vehicles, used / noise**2, wander)
         z = (planes @ v + heading * side) / noise
         # From a rough start the scale is wide; it narrows to what the tracks themselves say.
-        limit = max(_TUKEY * _spread(z, given), limit * 0.7)
+        limit = max(_TUKEY * spread_of(z, given), limit * 0.7)
         used = given * np.maximum(1 - (z / limit) ** 2, 0) ** 2
         if np.count_nonzero(used) < 2:
             break
-        wander = float(np.clip(_spread(heading, used), *_WANDER))
+        wander = float(np.clip(spread_of(heading, used), *_WANDER))
         _, vectors = np.linalg.eigh(_normal_matrix(planes, side, vehicles, used / noise**2, wander))
         new = vectors[:, 0] * (np.sign(vectors[:, 0] @ v) or 1.0)
         done = np.abs(new - v).max() < 1e-9
@@ -181,44 +184,28 @@ def refine_travel(
     return Travel(v, np.abs(planes @ v) < allowed, used, float(np.degrees(wander)))
 
 
-def _per_vehicle(
-    off: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float
-) -> Array:
+def _per_vehicle(off: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float) -> Array:
     """(N,) heading of each track's vehicle, rad to the side of VP1, held back by how little vehicles wander."""
     top = np.bincount(vehicles, weights * side * off)
     bottom = np.bincount(vehicles, weights * side**2) + wander**-2
     return np.asarray((-top / bottom)[vehicles])
 
 
-def _normal_matrix(
-    planes: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float
-) -> Array:
+def _normal_matrix(planes: Array, side: Array, vehicles: NDArray[np.int64], weights: Array, wander: float) -> Array:
     """(3, 3) normal matrix for VP1 once each vehicle's heading is eliminated."""
     along = np.stack([np.bincount(vehicles, weights * side * planes[:, k]) for k in range(3)], axis=1)
     bottom = np.bincount(vehicles, weights * side**2) + wander**-2
     return np.asarray((planes * weights[:, None]).T @ planes - (along / bottom[:, None]).T @ along)
 
 
-def heading_change_deg(lines: TrackLines, travel: Travel, weights: ArrayLike) -> float:
-    """By how many degrees vehicles turn between the middles of the near and the far half of their tracks.
-
-    The weighted median over the tracks, signed (positive: to the right while going away). On a straight road it is
-    about nothing; a lane change here and there does not matter.
-    """
-    side = _sideways(travel.direction)
-    turned = []
-    for half in (0, 1):
-        planes = _planes(lines.halves[:, half, :2], lines.halves[:, half, 2:])
-        # Turned by a small angle about the vertical, VP1 would lie on the line of this half.
-        turned.append(-np.arctan2(planes @ travel.direction, planes @ side))
-    change = (np.degrees(turned[1] - turned[0]) + 90) % 180 - 90
-    importance = np.asarray(weights, dtype=np.float64) * lines.length
-    order = np.argsort(change)
-    total = np.cumsum(importance[order])
-    return float(change[order[int(np.searchsorted(total, total[-1] / 2))]])
+def weighted_quantile(values: Array, weights: Array, share: float) -> float:
+    """The value below which a share of the weight lies."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[min(int(np.searchsorted(total, share * total[-1])), len(values) - 1)]])
 
 
-def _sideways(v: Array) -> Array:
+def sideways(v: Array) -> Array:
     """(3,) unit direction across, for a camera that does not roll much: where VP1 goes when a vehicle turns."""
     side = np.array([v[2], 0.0, -v[0]])
     length = float(np.linalg.norm(side))
@@ -302,14 +289,12 @@ def _robust_lines(points: Array, least: float) -> tuple[Array, Array, Array, Arr
     return centre, direction, scatter[:, 0], np.maximum(length, 1e-9)
 
 
-def _planes(centre: Array, direction: Array) -> Array:
+def planes_of(centre: Array, direction: Array) -> Array:
+    """(N, 3) unit normals of the planes through the camera and lines (N, 2), (N, 2)."""
     normals = np.cross(homogeneous(centre), np.concatenate([direction, np.zeros((len(direction), 1))], axis=1))
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def _spread(z: Array, weights: Array) -> float:
+def spread_of(z: Array, weights: Array) -> float:
     """Weighted median of |z|, as a standard deviation."""
-    order = np.argsort(np.abs(z))
-    total = np.cumsum(weights[order])
-    middle = int(np.searchsorted(total, total[-1] / 2))
-    return max(1.48 * float(np.abs(z[order[min(middle, len(z) - 1)]])), 0.05)
+    return max(1.48 * weighted_quantile(np.abs(z), weights, 0.5), 0.05)

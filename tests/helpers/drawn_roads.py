@@ -1,4 +1,4 @@
-"""Small drawn videos of boxes with windows that drive where they are told: straight, in a bend, across, or not at all."""
+"""Small drawn videos of boxes with windows that drive where they are told: straight, in a bend, across."""
 
 from __future__ import annotations
 
