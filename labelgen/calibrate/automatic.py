@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+from numpy.typing import ArrayLike
 
 from labelgen.calibrate.observe import observe
 from labelgen.calibrate.road_mask import road_mask, write_mask
@@ -16,7 +18,7 @@ from labelgen.geometry import Camera
 from labelgen.sources.frames import FrameSource, open_frames
 from labelgen.sources.scenes import Scene, find_scene_parts
 
-__all__ = ["CALIBRATION_NAME", "ROAD_MASK_NAME", "complete_scene"]
+__all__ = ["CALIBRATION_NAME", "ROAD_MASK_NAME", "calibrate_with_scale", "complete_scene"]
 
 CALIBRATION_NAME, ROAD_MASK_NAME = "calibration.json", "road_mask.png"
 
@@ -71,7 +73,7 @@ def _make(scene: Scene, what: set[str], scale: str, need_scale: bool, say: Calla
     assert scene.frames_path is not None
     frames = open_frames(scene.frames_path)
     if "calibration" in what:
-        done = _calibrated(frames, scale, need_scale, say)
+        done = calibrate_with_scale(frames, [scale], need_scale=need_scale, say=say)
         camera, seen = done.camera, done.seen
         make_folder(scene.calibration_path.absolute().parent)
         write_json(scene.calibration_path, done.to_dict())
@@ -87,14 +89,34 @@ def _make(scene: Scene, what: set[str], scale: str, need_scale: bool, say: Calla
         say(f"{scene.name}: road marked, {found.pixels.mean():.0%} of the picture: {scene.mask_path}")
 
 
-def _calibrated(frames: FrameSource, scale: str, need_scale: bool, say: Callable[[str], object]) -> Calibration:
-    way = scale_way([scale])
-    done = calibrate_video(frames, collectors=way.collectors)
+def calibrate_with_scale(
+    frames: FrameSource,
+    scale: Sequence[str],
+    *,
+    need_scale: bool,
+    say: Callable[[str], object],
+    pp: ArrayLike | None = None,
+    duration_s: float | None = None,
+) -> Calibration:
+    """Calibrate a video, scale included.
+
+    Args:
+        frames: the video.
+        scale: way to the scale, see `labelgen.calibrate.scale_ways`.
+        need_scale: whether a video that gives no scale is an error; it is told otherwise.
+        say: is told.
+        pp, duration_s: see `labelgen.calibrate.run.calibrate_video`.
+
+    Raises:
+        CalibrationError: the video cannot carry a calibration, or no scale where one is needed; says why.
+    """
+    way = scale_way(scale)
+    done = calibrate_video(frames, pp=pp, duration_s=duration_s, collectors=way.collectors)
     try:
         found = way(done.camera, done.seen)
     except CalibrationError as err:
         if need_scale:
             raise
-        say(f"{frames.name}: no scale, so sizes are not judged: {err}")
+        say(f"{frames.name}: no scale, so there are no metres: {err}")
         return done
     return replace(done, camera=replace(done.camera, scale=found.scale), scale=found)

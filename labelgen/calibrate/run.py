@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -69,7 +70,7 @@ class Calibration:
             out["scale"] = {
                 "method": self.scale.method,
                 "count": self.scale.count,
-                "spread_percent": round(100 * self.scale.spread, 2),
+                "spread_percent": round(100 * self.scale.spread, 2) if math.isfinite(self.scale.spread) else None,
                 **self.scale.details,
             }
         return {**out, "doubts": self.doubts}

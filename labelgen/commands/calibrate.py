@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from labelgen.commands.common import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
+from labelgen.commands.common import (
+    JsonOption,
+    OverwriteOption,
+    check_report_path,
+    note,
+    print_table,
+    write_json_report,
+)
 
 if TYPE_CHECKING:
     from labelgen.calibrate.run import Calibration
@@ -20,6 +28,15 @@ def calibrate(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="The calibration; by default NAME.calibration.json beside VIDEO."),
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scale",
+            metavar="WAY",
+            help="auto-models (default), auto-dimensions[:L,W,H], or any number of distance:x1,y1,x2,y2,METRES and "
+            "lane:x1,y1,x2,y2,METRES.",
+        ),
     ] = None,
     picture: Annotated[
         Path | None,
@@ -34,13 +51,14 @@ def calibrate(
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Calibrate a camera from its video alone: vanishing points and focal length, with a confidence.
+    """Calibrate a camera from its video alone: vanishing points, focal length and scale, with a confidence.
 
     A video that cannot carry a calibration is refused with the reason, exit code 2.
     """
-    from labelgen.calibrate.run import calibrate_video
+    from labelgen.calibrate.automatic import calibrate_with_scale
     from labelgen.errors import OutputError
     from labelgen.files import make_folder, write_json
+    from labelgen.sources.frames import open_frames
 
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
     check_report_path(json_file, out)
@@ -51,7 +69,10 @@ def calibrate(
             raise OutputError(f"{option} {path}: it exists; add --overwrite or choose another name")
     if picture is not None and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise OutputError(f"--picture {picture}: name a .png or .jpg file")
-    done = calibrate_video(video, pp=_point(pp), duration_s=duration)
+    done = calibrate_with_scale(
+        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), say=note, pp=_point(pp),
+        duration_s=duration,
+    )  # fmt: skip
     make_folder(out.absolute().parent)
     write_json(out, done.to_dict())
     if picture is not None:
@@ -92,7 +113,8 @@ def _rows(done: Calibration) -> list[tuple[str, Any]]:
         ("confidence", f"{confidence['overall']:.2f}"),
     ]
     if done.scale is not None:
-        rows.insert(4, ("scale", f"{done.scale.scale:.6g}  ({done.scale.method}, known to {done.scale.spread:.1%})"))
+        known = f", known to {done.scale.spread:.1%}" if math.isfinite(done.scale.spread) else ""
+        rows.insert(4, ("scale", f"{done.scale.scale:.6g}  ({done.scale.method}{known})"))
     return rows
 
 
