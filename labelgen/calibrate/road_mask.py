@@ -113,7 +113,7 @@ def _draw(
             continue
         cosine = float(moved @ to_vp) / (length * max(float(np.hypot(*to_vp)), 1e-9))
         count += 1
-        along_count += abs(cosine) > limit
+        along_count += int(abs(cosine) > limit)
         into = other if abs(cosine) <= limit else ways[0 if cosine > 0 else 1]
         low = np.maximum(np.floor(points.min(axis=0)).astype(int) - _TRACK_PX, 0)
         high = np.ceil(points.max(axis=0)).astype(int) + _TRACK_PX
