@@ -47,8 +47,9 @@ _SMALLEST, _MOST = 0.025, 300
 _UNKNOWN = 1e-3
 _TYPICAL_WIDTH_M = 1.9
 _TYPICAL_HALF_LENGTH_M = 2.2
-# Scales tried, as the logarithm of their ratio to the first guess.
-_GRID = np.linspace(-0.7, 0.7, 701)
+# Sizes tried, as the logarithm of their ratio to the first guess, which is too large rather than too small: the
+# silhouette of a vehicle seen from the side is as wide as it is long.
+_GRID = np.linspace(-1.6, 0.8, 1201)
 _FEWEST = 8
 _BLOCK_S = 5.0
 _RESAMPLES = 100
