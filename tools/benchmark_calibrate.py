@@ -2,8 +2,8 @@
 
     python -m tools.benchmark_calibrate VIDEO [--size 1280x720 --fps 30 --seconds 60]
 
-With --size the video is first written anew, as H.264 of that size and rate, going forwards and backwards until it is long
-enough: compressed like a real one, whatever the source is. That is not counted. Every library is told to use one
+With --size the video is first written anew, as H.264 of that size and rate, going forwards and backwards until it is
+long enough: compressed like a real one, whatever the source is. That is not counted. Every library is told to use one
 thread, times are those the processor spent on this process, and the pass does not stop early.
 """
 
@@ -85,7 +85,9 @@ def recode(video: Path, out: Path, size_wh: tuple[int, int], fps: int, seconds: 
 
     from labelgen.sources.video import VideoFile
 
-    frames = [cv2.resize(frame.image, size_wh, interpolation=cv2.INTER_CUBIC) for frame in _first(VideoFile(video), 300)]
+    frames = [
+        cv2.resize(frame.image, size_wh, interpolation=cv2.INTER_CUBIC) for frame in _first(VideoFile(video), 300)
+    ]
     with av.open(str(out), "w") as container:
         stream: Any = container.add_stream("libx264", rate=fps, options={"preset": "veryfast", "crf": "23"})
         stream.width, stream.height, stream.pix_fmt = *size_wh, "yuv420p"
@@ -125,7 +127,8 @@ def main(
             recode(video, chosen, parse_size(size), fps, seconds)
         figures = measure(chosen)
     typer.echo(
-        f"{figures['seconds']:.1f} s of video in {figures['cpu_s']:.1f} s: {figures['times_real_time']:.1f} times real time"
+        f"{figures['seconds']:.1f} s of video in {figures['cpu_s']:.1f} s: "
+        f"{figures['times_real_time']:.1f} times real time"
     )
     for name, share in figures["share_percent"].items():
         typer.echo(f"  {name:<20}{share:5.1f} %")

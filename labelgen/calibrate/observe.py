@@ -133,7 +133,7 @@ class _Watch:
     def pace(self) -> int:
         """One of how many stretches of the video is worked on."""
         tracks, edges = len(self._tracker.tracks), self._edges.count
-        return 2 ** sum(tracks >= t and edges >= e for t, e in _PLENTY)
+        return 1 << sum(tracks >= t and edges >= e for t, e in _PLENTY)
 
     def take(self, number: int, time_s: float, image: NDArray[np.uint8]) -> None:
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
