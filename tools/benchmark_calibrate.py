@@ -47,16 +47,21 @@ def measure(video: Path) -> dict[str, Any]:
 
     cv2.setNumThreads(1)
     spent: dict[str, float] = {}
-    for module, holder, method, name in _STAGES:
-        owner = getattr(importlib.import_module(module), holder)
-        setattr(owner, method, _timed(getattr(owner, method), name, spent))
     start = time.process_time()
     for _ in VideoFile(video, threads=1).frames(lambda number: False):
         pass
     spent["decoding"] = time.process_time() - start
-    start = time.process_time()
-    done = run.calibrate_video(VideoFile(video, threads=1), stop_early=False)
-    total = time.process_time() - start
+    owners = [getattr(importlib.import_module(module), holder) for module, holder, _, _ in _STAGES]
+    plain = [getattr(owner, method) for owner, (_, _, method, _) in zip(owners, _STAGES, strict=True)]
+    for owner, function, (_, _, method, name) in zip(owners, plain, _STAGES, strict=True):
+        setattr(owner, method, _timed(function, name, spent))
+    try:
+        start = time.process_time()
+        done = run.calibrate_video(VideoFile(video, threads=1), stop_early=False)
+        total = time.process_time() - start
+    finally:
+        for owner, function, (_, _, method, _) in zip(owners, plain, _STAGES, strict=True):
+            setattr(owner, method, function)
     spent["the rest"] = total - sum(spent.values())
     seconds = done.seen.duration_s
     return {
