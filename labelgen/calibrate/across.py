@@ -175,25 +175,30 @@ def _log_likelihood(edges: Edges, vp1: Array, tilt: Array, focal: Array) -> Arra
     vp2, vp3 = (d.reshape(-1, 3) for d in directions(vp1, tilt, focal))
     total = np.zeros(len(vp2))
     anywhere = _SHARES[2] * 2 / np.pi
+    deviation = edges.deviation.astype(np.float32)[:, None]
     step = max(1, 2_000_000 // max(len(edges), 1))
     for start in range(0, len(vp2), step):
         part = np.s_[start : start + step]
-        density = np.full((len(edges), 1), anywhere)
+        density = np.full((len(edges), len(vp2[part])), anywhere, dtype=np.float32)
         for vp, share in ((vp2[part], _SHARES[0]), (vp3[part], _SHARES[1])):
-            z = _angles(edges, vp) / edges.deviation[:, None]
-            density = density + share * (2 / np.pi) / (edges.deviation[:, None] * (1 + z * z))
+            peak = share * (2 / np.pi) / deviation
+            density += peak / (1 + _squared_sines(edges, vp) / deviation**2)
         total[part] = np.log(density).sum(axis=0, dtype=np.float64)
     return total.reshape(tilt.shape)
 
 
-def _angles(edges: Edges, vp: Array) -> Array:
-    """(N,) or (N, M) angle in the picture, 0 to pi / 2, between edges and the direction to points (3,) or (M, 3)."""
-    several = vp.ndim == 2
-    points = np.atleast_2d(vp).astype(np.float32)
+def _squared_sines(edges: Edges, vp: Array) -> NDArray[np.float32]:
+    """(N, M) squared sine of the angle in the picture between edges and the direction to points (M, 3)."""
+    points = vp.astype(np.float32)
     (mx, my), (dx, dy) = (a.astype(np.float32).T[:, :, None] for a in (edges.middle, edges.direction))
     to_x, to_y = points[:, 0] - mx * points[:, 2], points[:, 1] - my * points[:, 2]
-    angle = np.arctan2(np.abs(dx * to_y - dy * to_x), np.abs(dx * to_x + dy * to_y))
-    return np.asarray(angle if several else angle[:, 0])
+    out: NDArray[np.float32] = (dx * to_y - dy * to_x) ** 2 / (to_x**2 + to_y**2)
+    return out
+
+
+def _angles(edges: Edges, vp: Array) -> Array:
+    """(N,) angle in the picture, 0 to pi / 2, between edges and the direction to a point (3,)."""
+    return np.arcsin(np.sqrt(np.minimum(_squared_sines(edges, vp[None])[:, 0], 1.0))).astype(np.float64)
 
 
 def _moments(density: Array, tilts: Array, log_focals: Array, best: tuple[float, float]) -> tuple[float, float]:

@@ -29,9 +29,14 @@ Look = tuple[int, float, Image, NDArray[np.bool_] | None]
 
 
 class Backdrop:
-    """Empty scene of a fixed camera from a few looks per second, full-size BGR."""
+    """Empty scene of a fixed camera from a few looks per second, full-size BGR.
 
-    def __init__(self) -> None:
+    Args:
+        silhouettes: whether anybody wants to know what differs from it.
+    """
+
+    def __init__(self, *, silhouettes: bool = True) -> None:
+        self._silhouettes = silhouettes
         self._waiting: list[tuple[int, float, Image]] = []
         self._samples: list[Image] = []
         self._model: BackgroundModel | None = None
@@ -39,6 +44,8 @@ class Backdrop:
 
     def look(self, number: int, time_s: float, image: Image) -> Iterator[Look]:
         """Take a frame; yields what can be said by now: nothing at first, then the early frames, then each at once."""
+        if self._samples and not self._silhouettes:
+            return
         if self._model is not None:
             self._looks += 1
             small = _small(image)
@@ -56,6 +63,8 @@ class Backdrop:
         if not waiting:
             return
         self._samples = [packed for _, _, packed in waiting]
+        if not self._silhouettes:
+            return
         if len(waiting) >= _FEWEST:
             self._model = BackgroundModel()
             self._model.prime(_small(_unpacked(packed)) for packed in self._samples)

@@ -34,6 +34,9 @@ class EdgeletFinder:
         size_wh: px of the full frames.
         factor: by how much the frames were shrunk on which motion was seen.
         most: how many edges are kept; from then on ever fewer of the new ones are taken.
+
+    Attributes:
+        count: of the edges so far.
     """
 
     def __init__(self, size_wh: tuple[int, int], factor: int, *, most: int = 40000) -> None:
@@ -41,7 +44,7 @@ class EdgeletFinder:
         self._shortest = max(_SHORTEST_PX, _SHORTEST_SHARE * size_wh[0])
         self._detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_NONE)
         self._found: list[Array] = []
-        self._count = self._calls = 0
+        self.count = self._calls = 0
         self._every = 1
 
     def see(self, grey: NDArray[np.uint8], moving: NDArray[np.uint8], time_s: float) -> None:
@@ -66,9 +69,9 @@ class EdgeletFinder:
             if min(right - left, bottom - top) < _LEAST_ZONE_PX:
                 continue
             self._zone(grey[top:bottom, left:right], (left, top), near, time_s)
-        if self._count > self._most:
+        if self.count > self._most:
             self._found = [np.concatenate(self._found)[::2]]
-            self._count = len(self._found[0])
+            self.count = len(self._found[0])
             self._every *= 2
 
     @property
@@ -88,4 +91,4 @@ class EdgeletFinder:
         ends = ends[near[at[..., 1], at[..., 0]].mean(axis=1) >= _ON_MOVING]
         if len(ends):
             self._found.append(np.concatenate([ends.reshape(-1, 4), np.full((len(ends), 1), time_s)], axis=1))
-            self._count += len(ends)
+            self.count += len(ends)

@@ -21,7 +21,8 @@ __all__ = ["CameraShake", "FeatureTracker", "Track", "working_factor"]
 
 Grey = NDArray[np.uint8]
 WORKING_WIDTH = 640
-_MAX_FEATURES = 160
+_MAX_FEATURES = 140
+_SEED_EVERY = 3
 _SPACING = 9
 _MOVED_LEVELS = 14
 _MARGIN = 4
@@ -89,7 +90,7 @@ class FeatureTracker:
                 self._follow(grey, time_s)
             difference = cv2.absdiff(cv2.blur(grey, (3, 3)), cv2.blur(self._previous, (3, 3)))
             self.moving = np.asarray(difference > _MOVED_LEVELS, dtype=np.uint8)
-            if self._frames % 2 == 0 and len(self._live) < _MAX_FEATURES:
+            if self._frames % _SEED_EVERY == 0 and len(self._live) < _MAX_FEATURES:
                 self._seed(grey, time_s)
         self._previous = grey
         self._frames += 1

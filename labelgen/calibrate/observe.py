@@ -25,8 +25,10 @@ _TRACK_FPS = 15.0
 _ASSUMED_FPS = 25.0
 # Two or three looks per second: enough for edges and silhouettes, since vehicles look much the same a frame later.
 _LOOK_S = 0.4
-# The video is worked on all the time at first, later only during every other stretch of this many seconds.
-_STEADY_S, _STRETCH_S = 40.0, 3.0
+# Once so many tracks and edges are there, only every other stretch of this many seconds is worked on, and then every
+# fourth: more of the same traffic tells little, and other traffic tells more.
+_STRETCH_S = 3.0
+_PLENTY = ((700, 4000), (2500, 15000))
 _FIRST_CHECK_S = 30.0
 
 
@@ -94,10 +96,10 @@ def observe(
     count = source.frame_count
     if duration_s is not None:
         count = min(count or 2**31, math.ceil(duration_s * fps))
-    wanted = _pace(fps)
+    step = max(1, round(fps / _TRACK_FPS))
     done, time_s, check_s, ended = 0, 0.0, _FIRST_CHECK_S, True
     with progress_bar(count, "frame", "watching") as advance:
-        for frame in source.frames(wanted):
+        for frame in source.frames(lambda n: n % step == 0 and int(n / fps / _STRETCH_S) % watch.pace() == 0):
             time_s = frame.time_s if math.isfinite(frame.time_s) else frame.number / fps
             if duration_s is not None and time_s >= duration_s:
                 break
@@ -115,17 +117,6 @@ def observe(
     return watch.observations(source, time_s, ended=ended, picture=picture)
 
 
-def _pace(fps: float) -> Callable[[int], bool]:
-    """Which frames are worked on: about 15 per second, later in stretches with pauses between them."""
-    step = max(1, round(fps / _TRACK_FPS))
-
-    def wanted(number: int) -> bool:
-        time_s = number / fps
-        return number % step == 0 and (time_s < _STEADY_S or int(time_s / _STRETCH_S) % 2 == 0)
-
-    return wanted
-
-
 class _Watch:
     """The state of a pass."""
 
@@ -135,9 +126,14 @@ class _Watch:
         self._tracker = FeatureTracker(self._factor)
         self._edges = EdgeletFinder(size_wh, self._factor)
         self._shake = CameraShake()
-        self._backdrop = Backdrop()
+        self._backdrop = Backdrop(silhouettes=bool(collectors))
         self._collectors = collectors
         self._looked_s = self._taken_s = -math.inf
+
+    def pace(self) -> int:
+        """One of how many stretches of the video is worked on."""
+        tracks, edges = len(self._tracker.tracks), self._edges.count
+        return 1 << sum(tracks >= t and edges >= e for t, e in _PLENTY)
 
     def take(self, number: int, time_s: float, image: NDArray[np.uint8]) -> None:
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
