@@ -69,8 +69,9 @@ def calibrate(
             raise OutputError(f"{option} {path}: it exists; add --overwrite or choose another name")
     if picture is not None and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise OutputError(f"--picture {picture}: name a .png or .jpg file")
+    middle = _point(pp)
     done = calibrate_with_scale(
-        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), say=note, pp=_point(pp),
+        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), say=note, pp=middle,
         duration_s=duration,
     )  # fmt: skip
     make_folder(out.absolute().parent)
