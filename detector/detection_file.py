@@ -7,8 +7,8 @@
 
 One line per frame, frames without detections included. Boxes lie in the rectified picture, or in the frame where
 `rectification` is null. `cc` is there for variants that decode it, `vertices` (eight points each, frame px) for all
-that have 3D boxes; a reader needs `vertices` only for `maskrcnn3d`. `scores` and `classes` may be left out, `time_s`
-may be null or left out where `fps` is given.
+that have 3D boxes; a reader needs `vertices` only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may
+be left out, `time_s` may be null or left out where `fps` is given.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from detector.detections import Detections
 from detector.variants import Variant, View
 from labelgen.errors import RectificationError
 from labelgen.generate.mask_labels import LabelLimits, label_masks
-from labelgen.geometry import Pair, Rectification, RoadMask, Rule
+from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
 from labelgen.labels import Labels
 from labelgen.masks import InstanceMasks, MaskSource, masked_frames
 from labelgen.sources.frames import Frame, FrameSource, always
@@ -23,9 +23,6 @@ SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
 """Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
 its foot is where it is, and without it a track would break."""
 
-_WINDOW_MARGIN_PX = 4
-_SMALLEST_WINDOW_PX = 32
-
 
 class MaskPlacer:
     """Turns the instance masks of a frame into detections of a view.
@@ -33,7 +30,7 @@ class MaskPlacer:
     Args:
         view: where the detections lie.
         road: vehicles must stand on it.
-        pair: for `maskrcnn3d`, in which windows are rectified; the other variants have it in their view.
+        pair: for 3D boxes around outlines, in which windows are rectified; other variants have it in their view.
         rule: how c_c's two candidates become one.
         limits: what to refuse.
 
@@ -51,8 +48,8 @@ class MaskPlacer:
         """The detections of a frame."""
         if self.view.variant is Variant.ORIG2D:
             return self._orig2d(frame, time_s, masks)
-        if self.view.variant is Variant.MASKRCNN3D:
-            return self._maskrcnn3d(frame, time_s, masks)
+        if self.view.variant.from_tangents:
+            return self._tangents(frame, time_s, masks)
         assert self.view.rectification is not None
         labels = self._labels(masks, self.view.rectification)
         found, valid = self.view.place(frame, time_s, labels.boxes_xyxy, labels.cc, labels.scores, labels.class_ids)
@@ -83,7 +80,7 @@ class MaskPlacer:
         self._count_invalid(valid)
         return found
 
-    def _maskrcnn3d(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
+    def _tangents(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
         """3D boxes from the masks' own windows: nothing is cut at a rectified picture's border, or sampled coarsely."""
         boxes, vertices, kept = masks.boxes_xyxy, [], []
         for i in range(len(masks)):
@@ -91,10 +88,8 @@ class MaskPlacer:
                 masks.frame_wh, masks.origins[i : i + 1], masks.crops[i : i + 1], masks.class_ids[i : i + 1],
                 masks.scores[i : i + 1],
             )  # fmt: skip
-            window = boxes[i] + _WINDOW_MARGIN_PX * np.array([-1, -1, 1, 1])
-            size = np.maximum(window[2:] - window[:2], _SMALLEST_WINDOW_PX).tolist()
             try:
-                rectification = Rectification.from_window(self.view.camera, window, self._pair, (size[0], size[1]))
+                rectification = window_around(self.view.camera, boxes[i], self._pair)
             except RectificationError:
                 self.rejects["window without a rectification"] += 1
                 continue

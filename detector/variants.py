@@ -6,8 +6,10 @@
     maskrcnn3d    3D box around each instance mask, built in the mask's own window of the frame
     previous3d    as transform3d, with the whole frame rectified instead of the road
     previous2d    as transform2d, likewise
+    dubska        as maskrcnn3d, around the blobs of a background model
+    sochor        as dubska, around those blobs that detections say are vehicles
 
-Source: Kocur & Ftacnik 2020, section 4; Kocur 2019 (the whole frame).
+Source: Kocur & Ftacnik 2020, section 4; Kocur 2019 (the whole frame); Dubska et al. 2014; Sochor et al. 2017.
 """
 
 from __future__ import annotations
@@ -38,6 +40,8 @@ class Variant(StrEnum):
     MASKRCNN3D = "maskrcnn3d"
     PREVIOUS3D = "previous3d"
     PREVIOUS2D = "previous2d"
+    DUBSKA = "dubska"
+    SOCHOR = "sochor"
 
     @classmethod
     def parse(cls, text: str) -> Variant:
@@ -50,12 +54,17 @@ class Variant(StrEnum):
     @property
     def in_frame(self) -> bool:
         """Whether boxes lie in the frame itself, so that nothing is rectified as a whole."""
-        return self in (Variant.ORIG2D, Variant.MASKRCNN3D)
+        return self is Variant.ORIG2D or self.from_tangents
 
     @property
     def is_3d(self) -> bool:
         """Whether it makes 3D boxes."""
-        return self in (Variant.TRANSFORM3D, Variant.MASKRCNN3D, Variant.PREVIOUS3D)
+        return self in (Variant.TRANSFORM3D, Variant.PREVIOUS3D) or self.from_tangents
+
+    @property
+    def from_tangents(self) -> bool:
+        """Whether its 3D boxes are built around outlines in the frame."""
+        return self in (Variant.MASKRCNN3D, Variant.DUBSKA, Variant.SOCHOR)
 
     @property
     def region(self) -> Region:
@@ -140,7 +149,7 @@ class View:
             cc: (N,) for variants that decode it.
             scores: (N,) in [0, 1]; 1 where left out.
             class_ids: (N,) `labelgen.labels.VehicleClass`; 0 where left out.
-            vertices_px: (N, 8, 2) frame px, ready-made 3D boxes, for `maskrcnn3d`.
+            vertices_px: (N, 8, 2) frame px, ready-made 3D boxes, for variants that build them around outlines.
 
         Returns:
             the valid detections, and valid (N,): False where the box has no area or no 3D box fits into it.
@@ -184,7 +193,7 @@ class View:
 
     def _middles(self, ends: Array) -> Array:
         """Frame px (N, 2) of the middles of bottom front edges whose ends (N, 2, 2) lie in the view."""
-        if self.variant is Variant.MASKRCNN3D:
+        if self.variant.from_tangents:
             # Halves are halves on the road, not in a picture that shows the edge in perspective.
             return self.camera.project(self.camera.road_points(ends, invalid="nan").mean(axis=1))
         return self.to_frame(ends.mean(axis=1))

@@ -12,12 +12,14 @@ from labelgen import __version__
 from labelgen.commands.audit import audit
 from labelgen.commands.bcs_masks import bcs_masks
 from labelgen.commands.boxcars import boxcars
+from labelgen.commands.calibrate import calibrate
 from labelgen.commands.demo import demo
 from labelgen.commands.detect import detect
 from labelgen.commands.detector_test import detector_test
 from labelgen.commands.evaluate import evaluate
 from labelgen.commands.export_model import export_model
 from labelgen.commands.rectify import rectify
+from labelgen.commands.road_mask import road_mask
 from labelgen.commands.shards import inspect, merge, validate
 from labelgen.commands.speed import speed
 from labelgen.commands.synth import synth_app
@@ -51,7 +53,9 @@ def root(
 
 app.command("boxcars", short_help="BoxCars116k's 3D boxes -> shards.")(boxcars)
 app.command("bcs-masks", short_help="Traffic videos, through vehicle masks -> shards.")(bcs_masks)
+app.command("calibrate", short_help="Calibrate a camera from its video alone.")(calibrate)
 app.command("rectify", short_help="Rectify one picture of a scene.")(rectify)
+app.command("road-mask", short_help="Mark the road in a video.")(road_mask)
 app.command("inspect", short_help="Say what shards hold.")(inspect)
 app.command("validate", short_help="Check shards and their index.")(validate)
 app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)

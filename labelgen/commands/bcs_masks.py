@@ -17,6 +17,7 @@ from labelgen.commands.common import (
     SceneSizeOption,
     WorkersOption,
     check_report_path,
+    note,
     show_summary,
 )
 
@@ -72,9 +73,11 @@ def bcs_masks(
 ) -> None:
     """Label the vehicles of traffic videos through instance masks: rectified frames with 2D boxes and c_c.
 
-    Calibration and road mask are looked for beside each input. Every mask becomes a label or is listed with the
-    reason in rejects.jsonl. An interrupted run goes on where it stopped when the same command is given again.
+    Calibration and road mask are looked for beside each input; where there are none they are made from the video itself
+    and kept in the output folder. Every mask becomes a label or is listed with the reason in rejects.jsonl. An
+    interrupted run goes on where it stopped when the same command is given again.
     """
+    from labelgen.calibrate.automatic import complete_scene
     from labelgen.errors import LabelgenError
     from labelgen.generate.encoding import ImageCodec
     from labelgen.generate.mask_labels import LabelLimits
@@ -83,18 +86,26 @@ def bcs_masks(
     from labelgen.geometry.mask_label import Rule
     from labelgen.geometry.rectification import Pair, Region, parse_size
     from labelgen.manifest import load_manifest
-    from labelgen.sources.scenes import find_scene
+    from labelgen.sources.scenes import find_scene_parts
 
     check_report_path(json_file)
     chosen_pair = Pair.parse(pair)
     manifest = load_manifest("brnocompspeed")
     size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])
-    scenes = [find_scene(path, calibration=calibration, road_mask=road_mask) for path in inputs]
-    names = [scene.name for scene in scenes]
+    # What is wrong with any input is found out before the first one is calibrated.
+    names = [find_scene_parts(path, calibration=calibration, road_mask=road_mask)[0].name for path in inputs]
     if out is None:
         if len(names) > 1:
             raise LabelgenError("several inputs: name the folder for their common shards with --out DIR")
-        out = Path("shards") / scenes[0].name
+        out = Path("shards") / names[0]
+    beside = out
+    scenes = [
+        complete_scene(
+            path, lambda name: beside if len(inputs) == 1 else beside / name, note,
+            calibration=calibration, road_mask_file=road_mask, need_scale=False,
+        )
+        for path in inputs
+    ]  # fmt: skip
     settings = MaskSettings(
         masks, weights, score, Rule.parse(rule), LabelLimits(min_height_px=min_height), device=device
     )

@@ -22,6 +22,7 @@ __all__ = [
     "SceneSizeOption",
     "WorkersOption",
     "check_report_path",
+    "note",
     "print_table",
     "show_summary",
     "write_json_report",
@@ -32,11 +33,13 @@ PairOption = Annotated[
 ]
 CalibrationOption = Annotated[
     Path | None,
-    typer.Option("--calibration", metavar="FILE", help="Camera JSON; else the session's, or NAME.calibration.json."),
+    typer.Option(
+        "--calibration", metavar="FILE", help="Camera JSON; else the session's, NAME.calibration.json, or made."
+    ),
 ]
 RoadMaskOption = Annotated[
     Path | None,
-    typer.Option("--road-mask", metavar="FILE", help="Road mask; by default the session's, or NAME.mask.png."),
+    typer.Option("--road-mask", metavar="FILE", help="Road mask; else the session's, NAME.mask.png, or made."),
 ]
 SceneSizeOption = Annotated[
     str | None,
@@ -54,6 +57,11 @@ WorkersOption = Annotated[
 QualityOption = Annotated[
     int, typer.Option("--quality", metavar="Q", help="JPEG quality of the images, 1 to 100; 0 for lossless PNG.")
 ]
+
+
+def note(text: str) -> None:
+    """A line on standard error."""
+    typer.echo(f"note: {text}", err=True)
 
 
 def print_table(rows: list[tuple[str, Any]]) -> None:

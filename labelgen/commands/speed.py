@@ -17,6 +17,7 @@ from labelgen.commands.common import (
     OverwriteOption,
     RoadMaskOption,
     SceneSizeOption,
+    note,
     print_table,
     write_json_report,
 )
@@ -46,19 +47,20 @@ def speed(
     calibration: CalibrationOption = None,
     road_mask: RoadMaskOption = None,
     from_: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--from",
             metavar="SOURCE",
-            help="Where vehicles come from: masks:background, masks:maskrcnn, masks:coco:FILE or detections:FILE.",
+            help="Where vehicles come from: masks:background (default), masks:maskrcnn (default of sochor), "
+            "masks:coco:FILE, model:FILE or detections:FILE.",
         ),
-    ] = "masks:background",
+    ] = None,
     variant: Annotated[
         str | None,
         typer.Option(
             "--variant",
             metavar="NAME",
-            help="transform3d (default), transform2d, orig2d, maskrcnn3d, previous3d or previous2d.",
+            help="transform3d (default), transform2d, orig2d, maskrcnn3d, previous3d, previous2d, dubska or sochor.",
         ),
     ] = None,
     pair: Annotated[str | None, typer.Option("--pair", metavar="PAIR", help="VP2-VP3 (default) or VP1-VP2.")] = None,
@@ -91,6 +93,8 @@ def speed(
 ) -> None:
     """Measure the speed of every vehicle that passes: tracks, speeds, sizes, lanes, directions.
 
+    Where there is no calibration or road mask they are made from the video itself and kept with the results.
+
     Writes tracks in the public result format (`labelgen evaluate --results DIR` reads them), a CSV with one row per
     vehicle, and the detections, each as it comes: whatever happens, the vehicles that have passed are on disk.
     """
@@ -98,9 +102,12 @@ def speed(
     from detector.results import ResultFiles
     from detector.speed import SpeedMeter
 
+    if from_ is None:
+        from_ = "masks:maskrcnn" if variant is not None and variant.strip().lower() == "sochor" else "masks:background"
     chosen = _Options(
-        source, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration, stall
-    )
+        source, out, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration,
+        stall,
+    )  # fmt: skip
     kind, _, argument = from_.partition(":")
     job = _from_file(chosen, Path(argument), render) if kind == "detections" else _from_frames(chosen, kind, argument)
     files = ResultFiles.of(out, job.name, str(job.view.variant))
@@ -126,6 +133,7 @@ def speed(
 @dataclass(frozen=True)
 class _Options:
     source: str
+    out: Path
     calibration: Path | None
     road_mask: Path | None
     from_: str
@@ -171,6 +179,8 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
     from labelgen.geometry import Pair, Rule, parse_size
     from labelgen.manifest import load_manifest
     from labelgen.masks import create_mask_source, prime_masks
+    from labelgen.masks.background import BackgroundMasks
+    from labelgen.masks.confirmed import ConfirmedMasks
 
     if kind == "model" and argument:
         return _from_model(options, Path(argument))
@@ -180,15 +190,24 @@ def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
             "detections:FILE"
         )
     chosen, pair = Variant.parse(options.variant or "transform3d"), Pair.parse(options.pair or "VP2-VP3")
+    if chosen is Variant.DUBSKA and argument != "background":
+        raise LabelgenError("--variant dubska: its vehicles are all that moves; leave out --from, or use maskrcnn3d")
+    if chosen is Variant.SOCHOR and argument == "background":
+        raise LabelgenError(
+            "--variant sochor: detections must say which blobs are vehicles; use --from masks:maskrcnn or "
+            "masks:coco:FILE"
+        )
     rule = Rule.parse(options.rule)
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
     is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
     view = View.create(chosen, camera, road, pair, size_wh)
-    masks = create_mask_source(
+    masks: MaskSource = create_mask_source(
         argument, weights=options.weights, score_threshold=options.score, road_mask=road.pixels,
         device=options.device, frame_wh=frames.size_wh,
     )  # fmt: skip
+    if chosen is Variant.SOCHOR:
+        masks = ConfirmedMasks(masks, BackgroundMasks(road_mask=road.pixels))
     detector = MaskDetections(masks, MaskPlacer(view, road, pair, rule))
     timed = _timed(frames, masks, frames.fps or rate, options.duration)
 
@@ -242,10 +261,11 @@ def _name(source: str) -> str:
 
 def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | None]:
     """The frames with their camera, road mask, and the frame rate stated for them."""
+    from labelgen.calibrate.automatic import complete_scene
     from labelgen.errors import DataError
     from labelgen.geometry import Camera, RoadMask
     from labelgen.sources.frames import open_frames
-    from labelgen.sources.scenes import find_scene, read_mask
+    from labelgen.sources.scenes import read_mask
     from labelgen.sources.stream import VideoStream
 
     if _is_url(options):
@@ -256,7 +276,15 @@ def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | Non
         Camera.load(options.calibration, image_wh=road.size_wh)
         stream = VideoStream(options.source, duration_s=options.duration, stall_s=options.stall)
         return stream, Camera.load(options.calibration, image_wh=stream.size_wh), road, options.fps
-    scene = find_scene(Path(options.source), calibration=options.calibration, road_mask=options.road_mask)
+    scene = complete_scene(
+        Path(options.source),
+        lambda name: options.out / _name(options.source),
+        note,
+        calibration=options.calibration,
+        road_mask_file=options.road_mask,
+        # Each system with the scale it was published with; models are what serves everything else best.
+        scale="auto-dimensions" if (options.variant or "").strip().lower() == "dubska" else "auto-models",
+    )
     assert scene.frames_path is not None
     frames = open_frames(scene.frames_path)
     return frames, scene.camera(frames.size_wh), scene.road(), options.fps or scene.fps

@@ -22,9 +22,11 @@ from labelgen.geometry.mask_label import (
     Rule,
     label_outlines,
     mask_outline,
+    mask_polygon,
     rectified_outline,
 )
 from labelgen.geometry.rectification import Pair, Rectification, Region, parse_size, rectify_windows
+from labelgen.geometry.tangent_box import tangent_boxes, window_around
 
 __all__ = [
     "Camera",
@@ -42,9 +44,12 @@ __all__ = [
     "front_bottom_midpoints",
     "label_outlines",
     "mask_outline",
+    "mask_polygon",
     "parse_size",
     "rectified_outline",
     "rectify_windows",
     "reorder_vertices",
     "road_cuboids",
+    "tangent_boxes",
+    "window_around",
 ]

@@ -26,7 +26,16 @@ from labelgen.errors import LabelgenError
 from labelgen.geometry.projective import Array, bounding_boxes
 from labelgen.geometry.rectification import Rectification
 
-__all__ = ["MaskLabels", "Outline", "Rule", "label_outlines", "mask_outline", "rectified_outline"]
+__all__ = [
+    "MaskLabels",
+    "Outline",
+    "Rule",
+    "label_outlines",
+    "mask_outline",
+    "mask_polygon",
+    "polygon_outline",
+    "rectified_outline",
+]
 
 _TANGENT_SHIFT = 0.7
 _MIDDLE_HALF = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
@@ -119,10 +128,26 @@ def rectified_outline(
         mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
         origin_px: frame px of the mask's first pixel.
     """
+    polygon = mask_polygon(mask, origin_px)
+    return None if polygon is None else polygon_outline(rectification, polygon)
+
+
+def mask_polygon(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Array | None:
+    """Points (K, 2) px whose convex hull stands for a mask of the frame; None if it is empty.
+
+    Args:
+        mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
+        origin_px: frame px of the mask's first pixel.
+    """
     hull = _hull(mask, origin_px)
     if hull is None:
         return None
-    points = (hull[:, None] + _MIDDLE_HALF).reshape(-1, 2)
+    out: Array = (hull[:, None] + _MIDDLE_HALF).reshape(-1, 2)
+    return out
+
+
+def polygon_outline(rectification: Rectification, points: Array) -> Outline | None:
+    """Outline, in rectified px, of the convex hull of frame points (K, 2); None where none of it lies inside."""
     inside = rectification.points(points)
     if not ((inside >= 0) & (inside <= rectification.size_wh)).all():  # NaN, beyond the horizon, is outside, too
         outer = cv2.convexHull(points.astype(np.float32))[:, 0]

@@ -79,7 +79,9 @@ def evidence_maps(image: Image, model: BackgroundModel) -> tuple[Mask, Mask, Mas
     smooth = cv2.blur(image, (3, 3)).astype(np.float32)
     difference = strongest(cv2.absdiff(smooth, expected))
     changed = difference > np.maximum(threshold, _BORDER_SHARE * cv2.dilate(difference, _disc(5)))
-    opened = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    # Opening with an even kernel shifts by a pixel unless the way back is anchored at the other corner.
+    square = np.ones((2, 2), np.uint8)
+    opened = cv2.dilate(cv2.erode(changed.view(np.uint8), square, anchor=(1, 1)), square, anchor=(0, 0))
     changed_u8 = np.asarray(opened, dtype=np.uint8)
 
     light, light_before = lightness(smooth), lightness(expected)

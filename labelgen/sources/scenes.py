@@ -24,7 +24,7 @@ from labelgen.labels import Split
 from labelgen.manifest import load_manifest
 from labelgen.sources.image_file import read_image
 
-__all__ = ["Scene", "find_scene", "read_mask"]
+__all__ = ["Scene", "find_scene", "find_scene_parts", "read_mask"]
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,33 @@ def find_scene(
     Raises:
         DataError: something is missing; names everything that is, and where it was looked for.
     """
+    scene, missing = _find(path, calibration, road_mask, need_frames)
+    _complain(path, missing)
+    return scene
+
+
+def find_scene_parts(
+    path: Path, *, calibration: Path | None = None, road_mask: Path | None = None
+) -> tuple[Scene, set[str]]:
+    """As `find_scene`, for those who can do without a calibration or a road mask.
+
+    Returns:
+        the scene, and which of "calibration" and "road mask" were found nowhere: their paths mean nothing.
+
+    Raises:
+        DataError: no such input, a session without its video, or a file that was given is not there.
+    """
+    scene, missing = _find(path, calibration, road_mask, True)
+    given = {"calibration": calibration, "road mask": road_mask}
+    made = {name for name, file in given.items() if file is None and name in missing}
+    _complain(path, {name: text for name, text in missing.items() if name not in made})
+    return scene, made
+
+
+def _find(
+    path: Path, calibration: Path | None, road_mask: Path | None, need_frames: bool
+) -> tuple[Scene, dict[str, str]]:
+    """A scene, and what is missing of it, in words."""
     if not path.exists():
         raise DataError(f"{path}: no such file or folder")
     layout = load_manifest("brnocompspeed")["layout"]
@@ -90,13 +117,12 @@ def find_scene(
     is_session = (folder / layout["road_mask"]).is_file() or (folder / layout["ground_truth"]).is_file()
     if is_session and (path.is_dir() or path.name in (*layout["videos"], layout["empty_road"])):
         return _session(path, folder, layout, calibration, road_mask, need_frames)
-    missing: list[str] = []
+    missing: dict[str, str] = {}
     places = _beside(path, ".calibration.json")
     calibration = _choose("calibration", "--calibration", calibration, places, missing)
     road_mask = _choose("road mask", "--road-mask", road_mask, _beside(path, ".mask.png"), missing)
-    _complain(path, missing)
     name = path.resolve().name if path.is_dir() else path.stem
-    return Scene(name, path, calibration, road_mask, path if path.is_file() else None)
+    return Scene(name, path, calibration, road_mask, path if path.is_file() else None), missing
 
 
 def _beside(path: Path, suffix: str) -> list[Path]:
@@ -113,10 +139,10 @@ def _session(
     calibration: Path | None,
     road_mask: Path | None,
     need_frames: bool,
-) -> Scene:
+) -> tuple[Scene, dict[str, str]]:
     manifest = load_manifest("brnocompspeed")
     name = folder.name
-    missing: list[str] = []
+    missing: dict[str, str] = {}
     results = (folder / layout["results"] / name).resolve()
     places = [results / file for file in layout["calibrations"]]
     places += [place for place in sorted(results.glob("system_*.json")) if place not in places]
@@ -125,31 +151,30 @@ def _session(
     videos = [folder / video for video in layout["videos"]]
     frames = path if path.is_file() else next((video for video in videos if video.is_file()), None)
     if frames is None and need_frames:
-        missing.append(f"no video ({' or '.join(layout['videos'])} in {folder})")
-    _complain(path, missing)
+        missing["video"] = f"no video ({' or '.join(layout['videos'])} in {folder})"
     empty_road = folder / layout["empty_road"]
     known = re.match(layout["session"], name) is not None
     rate = manifest["rates"].get(name, manifest["rates"]["default"]) if known else None
     picture = empty_road if empty_road.is_file() else None
-    return Scene(name, frames, calibration, road_mask, picture, name if known else "", rate)
+    return Scene(name, frames, calibration, road_mask, picture, name if known else "", rate), missing
 
 
-def _choose(what: str, option: str, given: Path | None, places: list[Path], missing: list[str]) -> Path:
+def _choose(what: str, option: str, given: Path | None, places: list[Path], missing: dict[str, str]) -> Path:
     if given is not None:
         if not given.is_file():
-            missing.append(f"no {what} at {option} {given}")
+            missing[what] = f"no {what} at {option} {given}"
         return given
     for place in places:
         if place.is_file():
             return place
     looked = f"looked for {places[0].name} in {places[0].parent}" if places else "none is known"
-    missing.append(f"no {what} ({looked}; give {option} FILE)")
+    missing[what] = f"no {what} ({looked}; give {option} FILE)"
     return places[0] if places else Path()
 
 
-def _complain(path: Path, missing: list[str]) -> None:
+def _complain(path: Path, missing: dict[str, str]) -> None:
     if missing:
-        raise DataError(f"{path}: {'; '.join(missing)}")
+        raise DataError(f"{path}: {'; '.join(missing.values())}")
 
 
 def read_mask(path: Path) -> NDArray[np.bool_]:

@@ -89,6 +89,8 @@ def cuboid_masks(drives: list[Drive]) -> InstanceMasks:
     [
         (Variant.TRANSFORM3D, 0.1),
         (Variant.MASKRCNN3D, 0.1),
+        (Variant.DUBSKA, 0.1),
+        (Variant.SOCHOR, 0.1),
         (Variant.PREVIOUS3D, 0.2),
         (Variant.TRANSFORM2D, 2.0),
         (Variant.PREVIOUS2D, 2.0),

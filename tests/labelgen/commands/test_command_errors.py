@@ -133,13 +133,23 @@ def test_vanishing_point_inside_the_mask(labelgen, clip: Path, tmp_path: Path) -
     assert not (tmp_path / "p.png").exists()
 
 
-def test_what_is_missing_beside_a_video_is_named(labelgen, clip: Path, tmp_path: Path) -> None:
+def test_what_is_missing_beside_a_video_is_made_or_refused(labelgen, clip: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare.mp4"
     bare.write_bytes(clip.read_bytes())
-    done = labelgen("bcs-masks", bare, "--masks", "background")
-    message = _refused(done, "bare.mp4", "no calibration", "--calibration FILE", "no road mask", "--road-mask FILE")
-    assert "bare.calibration.json" in message
-    assert "bare.mask.png" in message
+    done = labelgen("bcs-masks", bare, "--masks", "background", "--out", "shards")
+    assert done.returncode == 2
+    assert "note: bare: no calibration and no road mask given; making them from the video itself" in done.stderr
+    assert [line for line in done.stderr.splitlines() if line.startswith("labelgen: error: bare: ")]
+    assert not (tmp_path / "shards").exists()
+
+
+def test_what_was_given_and_is_not_there_is_named(labelgen, clip: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.mp4"
+    bare.write_bytes(clip.read_bytes())
+    _refused(
+        labelgen("bcs-masks", bare, "--calibration", "c.json", "--road-mask", "m.png", "--masks", "background"),
+        "bare.mp4", "no calibration at --calibration c.json", "no road mask at --road-mask m.png",
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("content", [b"", b"this is no video\n" * 100])

@@ -56,6 +56,7 @@ def speeds(folder: Path, variant: str = "transform3d") -> list[float]:
         ("transform3d", "VP1-VP2", 1.0),
         ("transform2d", "VP2-VP3", 0.5),
         ("maskrcnn3d", "VP2-VP3", 0.5),
+        ("sochor", "VP2-VP3", 3.0),
         ("previous3d", "VP2-VP3", 1.0),
         ("previous2d", "VP2-VP3", 1.0),
         ("orig2d", "VP2-VP3", 2.0),
@@ -71,6 +72,72 @@ def test_every_variant_from_masks(scene: Path, tmp_path: Path, variant: str, pai
     assert (summary["frames"], summary["vehicles"], summary["variant"]) == (100, 3, variant)
     assert sorted(speeds(tmp_path / "road", variant)) == pytest.approx(sorted(SPEEDS), abs=tolerance)
     assert sorted(summary["files"]) == ["detections", "tracks", "vehicles"]
+
+
+def test_dubska_measures_what_moves(scene: Path, tmp_path: Path) -> None:
+    assert run(scene / "road.mp4", "--variant", "dubska", "--out", tmp_path) == 0
+    table = rows(tmp_path / "road" / "vehicles_dubska.csv")
+    assert sorted(float(row["speed_kmh"]) for row in table) == pytest.approx(sorted(SPEEDS), abs=3.0)
+    head = json.loads((tmp_path / "road" / "detections_dubska.jsonl").read_text().splitlines()[0])
+    assert (head["variant"], head["rectification"]) == ("dubska", None)
+    again = ["--from", f"detections:{tmp_path / 'road' / 'detections_dubska.jsonl'}", "--out", tmp_path / "again"]
+    assert run(scene / "road.mp4", *again) == 0
+    assert speeds(tmp_path / "again" / "road", "dubska") == pytest.approx(speeds(tmp_path / "road", "dubska"), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--variant", "dubska", "--from", "masks:maskrcnn"], "--variant dubska: its vehicles are all that moves"),
+        (["--variant", "sochor", "--from", "masks:background"], "detections must say which blobs are vehicles"),
+    ],
+)
+def test_masks_that_a_system_does_not_take(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert run(scene / "road.mp4", *arguments, "--out", tmp_path) == 2
+    assert message in capsys.readouterr().err
+
+
+def bare_video(scene: Path, folder: Path) -> Path:
+    """The video alone, without calibration and road mask beside it."""
+    path = folder / "bare.mp4"
+    shutil.copy(scene / "road.mp4", path)
+    return path
+
+
+def test_what_an_earlier_run_made_is_used_again(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "out" / "bare"
+    kept.mkdir(parents=True)
+    shutil.copy(scene / "road.calibration.json", kept / "calibration.json")
+    shutil.copy(scene / "road.mask.png", kept / "road_mask.png")
+    video = bare_video(scene, tmp_path)
+    assert run(video, "--from", f"masks:coco:{scene / 'masks.json'}", "--out", tmp_path / "out") == 0
+    assert sorted(speeds(kept)) == pytest.approx(sorted(SPEEDS), abs=0.5)
+    said = capsys.readouterr().err
+    for what, name in (("calibration", "calibration.json"), ("road mask", "road_mask.png")):
+        assert f"note: bare: no {what} given; using {kept / name} of an earlier run" in said
+
+
+def test_a_road_mask_alone_is_made(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    video = bare_video(scene, tmp_path)
+    calibration = ("--calibration", scene / "road.calibration.json")
+    masks = ("--from", f"masks:coco:{scene / 'masks.json'}")
+    assert run(video, *masks, *calibration, "--out", tmp_path / "out") == 0
+    assert sorted(speeds(tmp_path / "out" / "bare")) == pytest.approx(sorted(SPEEDS), abs=0.5)
+    assert (tmp_path / "out" / "bare" / "road_mask.png").is_file()
+    assert "note: bare: no road mask given; making it from the video itself" in capsys.readouterr().err
+
+
+def test_a_video_that_cannot_be_calibrated(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four seconds with three vehicles are too little."""
+    assert run(bare_video(scene, tmp_path), "--out", tmp_path / "out") == 2
+    *notes, error = [line for line in capsys.readouterr().err.splitlines() if line.startswith(("note:", "labelgen:"))]
+    assert "note: bare: no calibration and no road mask given; making them from the video itself" in notes
+    assert error.startswith("labelgen: error: ")
+    assert not (tmp_path / "out" / "bare" / "calibration.json").exists()
 
 
 @pytest.mark.slow
@@ -209,8 +276,7 @@ WRONG = [
     ([], ("--size", "large"), "unknown size"),
     ([], ("--rule", "none"), "unknown rule"),
     ([], ("--calibration", "nowhere.json"), "no calibration at --calibration nowhere.json"),
-    (["road.calibration.json"], (), "no calibration"),
-    (["road.mask.png"], (), "no road mask"),
+    (["road.calibration.json"], (), "give more video"),
     (["road.mp4"], (), "no such file or folder"),
 ]
 

@@ -19,10 +19,13 @@ def test_public_names_are_these():
         "front_bottom_midpoints",
         "label_outlines",
         "mask_outline",
+        "mask_polygon",
         "parse_size",
         "rectified_outline",
         "rectify_windows",
         "reorder_vertices",
         "road_cuboids",
+        "tangent_boxes",
+        "window_around",
     ]
     assert all(hasattr(labelgen.geometry, name) for name in labelgen.geometry.__all__)

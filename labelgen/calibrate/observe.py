@@ -1,0 +1,186 @@
+"""One pass over a video: everything that calibration needs is gathered while the frames go by, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.calibrate.backdrop import Backdrop
+from labelgen.calibrate.edgelets import EdgeletFinder
+from labelgen.calibrate.features import CameraShake, FeatureTracker, Track, working_factor
+from labelgen.errors import DataError
+from labelgen.geometry.projective import Array
+from labelgen.progress import progress_bar
+from labelgen.sources.frames import FrameSource
+
+__all__ = ["Collector", "Observations", "Track", "observe"]
+
+_TRACK_FPS = 15.0
+_ASSUMED_FPS = 25.0
+# Two or three looks per second: enough for edges and silhouettes, since vehicles look much the same a frame later.
+_LOOK_S = 0.4
+# Once so many tracks and edges are there, only every other stretch of this many seconds is worked on, and then every
+# fourth: more of the same traffic tells little, and other traffic tells more.
+_STRETCH_S = 3.0
+_PLENTY = ((700, 4000), (2500, 15000))
+_FIRST_CHECK_S = 30.0
+
+
+class Collector(Protocol):
+    """Something that rides on the pass over the video.
+
+    `see` is called in order of time, a few times per second of video, with the full-size frame. When the background
+    model is known `moving` is the (H, W) mask, full size, of what differs from the empty scene; None until then.
+    Frames from before the model was known are shown late, with their mask, so that `moving` is None only where no
+    model could be learnt at all.
+    """
+
+    def see(
+        self, number: int, time_s: float, rgb: NDArray[np.uint8], moving: NDArray[np.bool_] | NDArray[np.uint8] | None
+    ) -> None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What one pass over a video gave.
+
+    Args:
+        size_wh: px of the frames.
+        fps: frame rate; None where the source states none.
+        duration_s: how much of the video was looked at.
+        tracks: features on moving things, in order of their end.
+        edgelets: (N, 5) straight edges on moving things: x0, y0, x1, y1 in px, and time, s.
+        shifts: (L,) share of the picture's width by which most of the scene had shifted within a few seconds, per look.
+        drift: by how much of the picture's width the camera drifted in all.
+        background: (H, W, 3) uint8 RGB, the empty road, full size; None where it could not be learnt.
+        ended: whether the video was seen to its end (or to the duration asked for), not stopped early.
+    """
+
+    size_wh: tuple[int, int]
+    fps: float | None
+    duration_s: float
+    tracks: Sequence[Track]
+    edgelets: Array
+    shifts: Array
+    drift: float
+    background: NDArray[np.uint8] | None
+    ended: bool
+
+
+def observe(
+    source: FrameSource,
+    *,
+    duration_s: float | None = None,
+    collectors: Sequence[Collector] = (),
+    enough: Callable[[Observations], bool] | None = None,
+) -> Observations:
+    """Look through a video once.
+
+    Args:
+        source: the frames.
+        duration_s: look at so much of its beginning; None for all of it.
+        collectors: what else wants to see the frames.
+        enough: asked now and then, ever more rarely, whether what was gathered is enough.
+
+    Raises:
+        DataError: no frame came.
+    """
+    watch = _Watch(source.size_wh, collectors)
+    fps = source.fps or _ASSUMED_FPS
+    count = source.frame_count
+    if duration_s is not None:
+        count = min(count or 2**31, math.ceil(duration_s * fps))
+    step = max(1, round(fps / _TRACK_FPS))
+    done, time_s, check_s, ended = 0, 0.0, _FIRST_CHECK_S, True
+    with progress_bar(count, "frame", "watching") as advance:
+        for frame in source.frames(lambda n: n % step == 0 and int(n / fps / _STRETCH_S) % watch.pace() == 0):
+            time_s = frame.time_s if math.isfinite(frame.time_s) else frame.number / fps
+            if duration_s is not None and time_s >= duration_s:
+                break
+            watch.take(frame.number, time_s, frame.image)
+            advance(frame.number + 1 - done)
+            done = frame.number + 1
+            if enough is not None and time_s >= check_s:
+                check_s *= 1.6
+                if enough(watch.observations(source, time_s, ended=False)):
+                    ended = False
+                    break
+    if not done:
+        raise DataError(f"{source.path}: no frame could be read; is it a video?")
+    picture = watch.finish()
+    return watch.observations(source, time_s, ended=ended, picture=picture)
+
+
+class _Watch:
+    """The state of a pass."""
+
+    def __init__(self, size_wh: tuple[int, int], collectors: Sequence[Collector]) -> None:
+        self._factor = working_factor(size_wh)
+        self._small_wh = tuple(max(1, n // self._factor) for n in size_wh)
+        self._tracker = FeatureTracker(self._factor)
+        self._edges = EdgeletFinder(size_wh, self._factor)
+        self._shake = CameraShake()
+        self._backdrop = Backdrop(silhouettes=bool(collectors))
+        self._collectors = collectors
+        self._looked_s = self._taken_s = -math.inf
+
+    def pace(self) -> int:
+        """One of how many stretches of the video is worked on."""
+        tracks, edges = len(self._tracker.tracks), self._edges.count
+        return 1 << sum(tracks >= t and edges >= e for t, e in _PLENTY)
+
+    def take(self, number: int, time_s: float, image: NDArray[np.uint8]) -> None:
+        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        small = grey
+        if self._factor > 1:
+            small = np.asarray(cv2.resize(grey, self._small_wh, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        if time_s - self._taken_s > 2.5 / _TRACK_FPS:
+            self._tracker.pause()
+        self._taken_s = time_s
+        self._tracker.see(small, time_s)
+        if time_s - self._looked_s < 0.9 * _LOOK_S:
+            return
+        moving = self._tracker.moving
+        if moving is None:
+            return  # right after a pause nothing is known to move yet: the next frame will do
+        self._looked_s = time_s
+        self._shake.see(small)
+        self._edges.see(grey, moving, time_s)
+        for look in self._backdrop.look(number, time_s, image):
+            self._give(*look)
+
+    def _give(self, number: int, time_s: float, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> None:
+        if self._collectors:
+            rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+            for collector in self._collectors:
+                collector.see(number, time_s, rgb, mask)
+
+    def finish(self) -> NDArray[np.uint8] | None:
+        """At the end: what is still on its way, and the picture of the empty scene, RGB."""
+        self._tracker.pause()
+        for look in self._backdrop.finish():
+            self._give(*look)
+        picture = self._backdrop.picture()
+        return None if picture is None else np.ascontiguousarray(picture[..., ::-1])
+
+    def observations(
+        self, source: FrameSource, time_s: float, *, ended: bool, picture: NDArray[np.uint8] | None = None
+    ) -> Observations:
+        width = self._small_wh[0]
+        return Observations(
+            source.size_wh,
+            source.fps,
+            time_s,
+            list(self._tracker.tracks),
+            self._edges.edgelets,
+            np.array(self._shake.shifts_px) / width,
+            self._shake.drift_px / width,
+            picture,
+            ended,
+        )

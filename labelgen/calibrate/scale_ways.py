@@ -1,0 +1,78 @@
+"""The ways to a scale by name, as the command line asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from labelgen.calibrate.blobs import BlobCollector
+from labelgen.calibrate.observe import Collector, Observations
+from labelgen.calibrate.scale import ScaleEstimate
+from labelgen.calibrate.scale_dimensions import MEAN_VEHICLE_M, scale_from_dimensions
+from labelgen.calibrate.scale_distances import parse_distance, scale_from_distances
+from labelgen.calibrate.scale_models import scale_from_models
+from labelgen.errors import CalibrationError
+from labelgen.geometry import Camera
+
+__all__ = ["SCALE_WAYS", "ScaleWay", "scale_way"]
+
+SCALE_WAYS = (
+    "auto-models, auto-dimensions[:LENGTH,WIDTH,HEIGHT], distance:x1,y1,x2,y2,METRES or lane:x1,y1,x2,y2,METRES"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleWay:
+    """A way to a scale; called when the camera is known (`labelgen.calibrate.run.EstimateScale`).
+
+    Args:
+        name: as asked for.
+        collectors: what must ride on the pass over the video.
+        estimate: from the camera to the scale; CalibrationError when the video cannot carry it.
+    """
+
+    name: str
+    collectors: tuple[Collector, ...]
+    estimate: Callable[[Camera], ScaleEstimate]
+
+    def __call__(self, camera: Camera, seen: Observations) -> ScaleEstimate:
+        """The scale of a camera; what was seen otherwise does not count."""
+        return self.estimate(camera)
+
+
+def scale_way(texts: Sequence[str]) -> ScaleWay:
+    """The way that `--scale` names.
+
+    Args:
+        texts: one automatic way; or any number of known distances, along or across the road.
+
+    Raises:
+        CalibrationError: an unknown way, a distance that is none, or ways that do not go together.
+    """
+    kinds = [text.partition(":")[::2] for text in texts]
+    if kinds and all(kind in ("distance", "lane") for kind, _ in kinds):
+        known = [parse_distance(rest, across=kind == "lane") for kind, rest in kinds]
+        return ScaleWay("distance", (), lambda camera: scale_from_distances(camera, known))
+    if len(kinds) != 1:
+        raise CalibrationError(f"--scale {' --scale '.join(texts)}: give one way, or known distances; {SCALE_WAYS}")
+    kind, rest = kinds[0]
+    blobs = BlobCollector()
+    if kind == "auto-models" and not rest:
+        return ScaleWay(kind, (blobs,), lambda camera: scale_from_models(camera, blobs.blobs()))
+    if kind == "auto-dimensions":
+        mean = _sizes(rest) if rest else MEAN_VEHICLE_M
+        return ScaleWay(kind, (blobs,), lambda camera: scale_from_dimensions(camera, blobs.blobs(), mean_m=mean))
+    raise CalibrationError(f"--scale {texts[0]}: unknown way; use {SCALE_WAYS}")
+
+
+def _sizes(text: str) -> tuple[float, ...]:
+    try:
+        sizes = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        sizes = ()
+    if len(sizes) != 3 or not all(0.1 < size < 100 for size in sizes):
+        raise CalibrationError(
+            f"--scale auto-dimensions:{text}: expected the mean vehicle's LENGTH,WIDTH,HEIGHT in metres, as "
+            "4.27,1.74,1.51"
+        )
+    return sizes
