@@ -177,8 +177,8 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     skin.emboss(Chart.REAR, [(-half, 0), (half, 0), (half, bumper_top), (-half, bumper_top)], 0.02)
     skin.line(Chart.REAR, [(-half, bumper_top), (half, bumper_top)], seam, PAINT)
     if rng.random() < 0.6:  # unpainted below the bumper's middle
-        low, high = foot - 0.01, foot + rng.uniform(0.05, 0.12)
-        ring = [(-0.75 * narrow, low), (0.75 * narrow, low), (0.6 * narrow, high), (-0.6 * narrow, high)]
+        top_z = foot + rng.uniform(0.05, 0.12)
+        ring = [(-0.75 * narrow, foot), (0.75 * narrow, foot), (0.6 * narrow, top_z), (-0.6 * narrow, top_z)]
         skin.polygon(Chart.REAR, ring, TRIM, MATTE)
     if shape.kind == "van":
         _rear_doors(skin, shape, style, seam, rng)
