@@ -24,15 +24,17 @@ import typer
 from detector.score.brnocompspeed import score_recording
 from detector.score.groundtruth import GroundTruth, read_ground_truth
 from detector.score.tracks import Tracks
+from labelgen.calibrate.automatic import calibrate_with_scale
 from labelgen.calibrate.observe import Track
 from labelgen.calibrate.orientation import road_camera
-from labelgen.calibrate.run import Calibration, calibrate_video
+from labelgen.calibrate.run import Calibration
 from labelgen.calibrate.travel import find_travel, track_lines
 from labelgen.errors import DataError, LabelgenError
 from labelgen.files import write_json
 from labelgen.geometry import Camera
 from labelgen.geometry.projective import Array
 from labelgen.manifest import load_manifest
+from labelgen.sources.frames import open_frames
 
 __all__ = ["app", "compare_video", "ratio_error", "travel_from_cars"]
 
@@ -141,7 +143,8 @@ def videos_table(
     for session in sessions:
         name = session.resolve().name
         results = session.resolve().parent.parent / "results" / name
-        done = calibrate_video(session / "video.avi", duration_s=duration)
+        frames = open_frames(session / "video.avi")
+        done = calibrate_with_scale(frames, ["auto-models"], need_scale=False, say=typer.echo, duration_s=duration)
         true = Camera.load(results / _BEST)
         row = compare_video(done, true, read_ground_truth(session / "gt_data.pkl"))
         rows[name] = row
