@@ -84,7 +84,7 @@ def bcs_masks(
     from labelgen.generate.runner import run_job
     from labelgen.generate.video import MaskSettings, video_job
     from labelgen.geometry.mask_label import Rule
-    from labelgen.geometry.rectification import Pair, Region, parse_size
+    from labelgen.geometry.pairs import Pair, Region, parse_size
     from labelgen.manifest import load_manifest
     from labelgen.sources.scenes import find_scene_parts
 

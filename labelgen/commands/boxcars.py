@@ -58,7 +58,7 @@ def boxcars(
     from labelgen.generate.boxcars import boxcars_job
     from labelgen.generate.encoding import ImageCodec
     from labelgen.generate.runner import run_job
-    from labelgen.geometry.rectification import Pair, parse_size
+    from labelgen.geometry.pairs import Pair, parse_size
     from labelgen.manifest import find_root, load_manifest
     from labelgen.sources.boxcars import BoxCars
 

@@ -27,7 +27,7 @@ def demo(
     from labelgen.commands.boxcars import boxcars
     from labelgen.commands.shards import validate
     from labelgen.errors import OutputError
-    from labelgen.geometry.rectification import parse_size
+    from labelgen.geometry.pairs import parse_size
     from labelgen.manifest import load_manifest
     from labelgen.synth.boxcars_tree import write_boxcars_tree
     from labelgen.synth.light import Weather

@@ -44,7 +44,8 @@ def rectify(
 
     from labelgen.errors import LabelgenError, OutputError
     from labelgen.files import make_folder, write_atomic
-    from labelgen.geometry.rectification import Pair, Rectification, parse_size
+    from labelgen.geometry.pairs import Pair, parse_size
+    from labelgen.geometry.rectification import Rectification
     from labelgen.manifest import load_manifest
     from labelgen.sources.pictures import read_picture
     from labelgen.sources.scenes import find_scene

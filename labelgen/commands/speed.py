@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,26 +14,17 @@ from labelgen.commands.common import (
     OverwriteOption,
     RoadMaskOption,
     SceneSizeOption,
-    note,
     print_table,
     write_json_report,
 )
+from labelgen.commands.speed_jobs import SpeedJob, SpeedOptions, job_from_file, job_from_frames
 
 if TYPE_CHECKING:
-    from detector.pipeline import Found, SpeedSummary
+    from detector.pipeline import SpeedSummary
     from detector.results import ResultFiles
-    from detector.sources import DetectionSource
-    from detector.timed_frames import TimedFrames
-    from detector.variants import View
-    from labelgen.geometry import Camera, RoadMask
     from labelgen.geometry.projective import Array
-    from labelgen.masks import MaskSource
-    from labelgen.sources.frames import Frame, FrameSource
 
 __all__ = ["speed"]
-
-_WARM_UP_S = 10.0
-_WARM_UP_SHARE = 0.2
 
 
 def speed(
@@ -104,12 +92,16 @@ def speed(
 
     if from_ is None:
         from_ = "masks:maskrcnn" if variant is not None and variant.strip().lower() == "sochor" else "masks:background"
-    chosen = _Options(
+    chosen = SpeedOptions(
         source, out, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration,
         stall,
     )  # fmt: skip
     kind, _, argument = from_.partition(":")
-    job = _from_file(chosen, Path(argument), render) if kind == "detections" else _from_frames(chosen, kind, argument)
+    job = (
+        job_from_file(chosen, Path(argument), render)
+        if kind == "detections"
+        else job_from_frames(chosen, kind, argument)
+    )
     files = ResultFiles.of(out, job.name, str(job.view.variant))
     files.prepare(overwrite=overwrite)
     lanes, notes = _lane_lines(source)
@@ -130,209 +122,6 @@ def speed(
     _close(job, files, summary, render, json_file)
 
 
-@dataclass(frozen=True)
-class _Options:
-    source: str
-    out: Path
-    calibration: Path | None
-    road_mask: Path | None
-    from_: str
-    variant: str | None
-    pair: str | None
-    size: str | None
-    rule: str
-    score: float
-    weights: Path | None
-    device: str | None
-    fps: float | None
-    duration: float | None
-    stall: float
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What is measured: a view, an iterator of detections, and what can be told afterwards."""
-
-    name: str
-    view: View
-    fps: float | None
-    frames: FrameSource | None
-    detector: DetectionSource | None
-    found: Any
-    expected: int | None
-
-    def problems(self) -> list[str]:
-        """What frames and detector had to skip."""
-        return [*(self.frames.problems if self.frames else []), *(self.detector.problems if self.detector else [])]
-
-    @property
-    def failure(self) -> Exception | None:
-        """Why a stream broke off, if it did."""
-        return getattr(self.frames, "failure", None)
-
-
-def _from_frames(options: _Options, kind: str, argument: str) -> _Job:
-    from detector.mask_detections import MaskDetections, MaskPlacer
-    from detector.pipeline import detect
-    from detector.variants import Variant, View
-    from labelgen.errors import LabelgenError
-    from labelgen.geometry import Pair, Rule, parse_size
-    from labelgen.manifest import load_manifest
-    from labelgen.masks import create_mask_source, prime_masks
-    from labelgen.masks.background import BackgroundMasks
-    from labelgen.masks.confirmed import ConfirmedMasks
-
-    if kind == "model" and argument:
-        return _from_model(options, Path(argument))
-    if kind != "masks" or not argument:
-        raise LabelgenError(
-            f"--from {options.from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, model:FILE or "
-            "detections:FILE"
-        )
-    chosen, pair = Variant.parse(options.variant or "transform3d"), Pair.parse(options.pair or "VP2-VP3")
-    if chosen is Variant.DUBSKA and argument != "background":
-        raise LabelgenError("--variant dubska: its vehicles are all that moves; leave out --from, or use maskrcnn3d")
-    if chosen is Variant.SOCHOR and argument == "background":
-        raise LabelgenError(
-            "--variant sochor: detections must say which blobs are vehicles; use --from masks:maskrcnn or "
-            "masks:coco:FILE"
-        )
-    rule = Rule.parse(options.rule)
-    size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
-    is_url = _is_url(options)
-    frames, camera, road, rate = _open(options)
-    view = View.create(chosen, camera, road, pair, size_wh)
-    masks: MaskSource = create_mask_source(
-        argument, weights=options.weights, score_threshold=options.score, road_mask=road.pixels,
-        device=options.device, frame_wh=frames.size_wh,
-    )  # fmt: skip
-    if chosen is Variant.SOCHOR:
-        masks = ConfirmedMasks(masks, BackgroundMasks(road_mask=road.pixels))
-    detector = MaskDetections(masks, MaskPlacer(view, road, pair, rule))
-    timed = _timed(frames, masks, frames.fps or rate, options.duration)
-
-    def found() -> Iterator[Found]:
-        if not is_url:
-            prime_masks(masks, frames)
-        return detect(detector, timed)
-
-    return _Job(
-        frames.name if is_url else _name(options.source), view, timed.fps, frames, detector, found, timed.frame_count
-    )
-
-
-def _from_model(options: _Options, checkpoint: Path) -> _Job:
-    from detector.infer import Detector, model_view
-    from detector.pipeline import detect
-    from detector.sources import DetectorDetections
-    from detector.timed_frames import TimedFrames
-    from detector.variants import Variant
-    from labelgen.errors import LabelgenError
-    from labelgen.geometry import Pair, parse_size
-
-    model = Detector.load(checkpoint, score=options.score, device=options.device)
-    card = model.card
-    asked = (options.pair and Pair.parse(options.pair), options.size and parse_size(options.size))
-    if any(given and given != own for given, own in zip(asked, (card.pair, card.size_wh), strict=True)):
-        raise LabelgenError(
-            f"--from {options.from_}: it sees {card.pair} pictures of {card.size_wh[0]}x{card.size_wh[1]}; leave out "
-            "--pair and --size, or use a checkpoint trained for them"
-        )
-    frames, camera, road, rate = _open(options)
-    variant = Variant.parse(options.variant) if options.variant else None
-    detections = DetectorDetections(model, model_view(card, camera, road, variant))
-    timed = TimedFrames(frames, fps=frames.fps or rate, duration_s=options.duration)
-    name = frames.name if _is_url(options) else _name(options.source)
-    return _Job(
-        name, detections.view, timed.fps, frames, detections, lambda: detect(detections, timed), timed.frame_count
-    )
-
-
-def _is_url(options: _Options) -> bool:
-    from labelgen.sources.stream import is_stream
-
-    return is_stream(options.source)
-
-
-def _name(source: str) -> str:
-    path = Path(source)
-    return path.resolve().name if path.is_dir() else path.stem
-
-
-def _open(options: _Options) -> tuple[FrameSource, Camera, RoadMask, float | None]:
-    """The frames with their camera, road mask, and the frame rate stated for them."""
-    from labelgen.calibrate.automatic import complete_scene
-    from labelgen.errors import DataError
-    from labelgen.geometry import Camera, RoadMask
-    from labelgen.sources.frames import open_frames
-    from labelgen.sources.scenes import read_mask
-    from labelgen.sources.stream import VideoStream
-
-    if _is_url(options):
-        if options.calibration is None or options.road_mask is None:
-            raise DataError(f"{options.source}: a stream needs --calibration FILE and --road-mask FILE")
-        road = RoadMask(read_mask(options.road_mask))
-        # What can be wrong on this side is found out before the camera is bothered.
-        Camera.load(options.calibration, image_wh=road.size_wh)
-        stream = VideoStream(options.source, duration_s=options.duration, stall_s=options.stall)
-        return stream, Camera.load(options.calibration, image_wh=stream.size_wh), road, options.fps
-    scene = complete_scene(
-        Path(options.source),
-        lambda name: options.out / _name(options.source),
-        note,
-        calibration=options.calibration,
-        road_mask_file=options.road_mask,
-        # Each system with the scale it was published with; models are what serves everything else best.
-        scale="auto-dimensions" if (options.variant or "").strip().lower() == "dubska" else "auto-models",
-    )
-    assert scene.frames_path is not None
-    frames = open_frames(scene.frames_path)
-    return frames, scene.camera(frames.size_wh), scene.road(), options.fps or scene.fps
-
-
-def _timed(frames: FrameSource, masks: MaskSource, fps: float | None, duration: float | None) -> TimedFrames:
-    """The frames to measure. Of a stream, the first seconds are only learnt from where the mask source wants to."""
-    from detector.timed_frames import TimedFrames
-    from labelgen.sources.stream import VideoStream
-
-    if not (isinstance(frames, VideoStream) and masks.prime_frames):
-        return TimedFrames(frames, fps=fps, duration_s=duration)
-    warm_up = _WARM_UP_S if duration is None else min(_WARM_UP_S, _WARM_UP_SHARE * duration)
-
-    def learn(coming: Iterator[Frame]) -> None:
-        masks.prime(frame.image for frame in takewhile(lambda frame: frame.time_s < warm_up, coming))
-
-    return TimedFrames(frames, fps=fps, duration_s=duration, lead_in=learn)
-
-
-def _from_file(options: _Options, path: Path, render: bool) -> _Job:
-    from detector.detection_file import DetectionFile
-    from detector.pipeline import with_frames
-    from detector.timed_frames import TimedFrames
-    from labelgen.errors import LabelgenError
-    from labelgen.sources.frames import open_frames
-    from labelgen.sources.scenes import find_scene
-
-    file = DetectionFile.open(path)
-    asked = [name for name in ("variant", "pair", "size") if getattr(options, name)]
-    if asked:
-        raise LabelgenError(f"--from {options.from_}: the file itself says how it was made; leave out --{asked[0]}")
-    scene = find_scene(
-        Path(options.source), calibration=options.calibration, road_mask=options.road_mask, need_frames=render
-    )
-    view = file.view(scene.camera(file.frame_wh))
-    fps = file.fps or options.fps or scene.fps
-    frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if render and scene.frames_path is not None else None
-    duration = options.duration
-
-    def found() -> Iterator[Found]:
-        lines = file.frames(view)
-        kept = lines if duration is None else takewhile(lambda line: not line.time_s >= duration, lines)
-        return with_frames(kept, frames)
-
-    return _Job(_name(options.source), view, fps, frames, None, found, None)
-
-
 def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
     """The lane lines of a session, and what is wrong with its ground truth, if anything is."""
     from detector.score.groundtruth import read_ground_truth
@@ -350,7 +139,7 @@ def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
         return None, [f"lanes are not known: {err}"]
 
 
-def _bar(job: _Job) -> AbstractContextManager[Any]:
+def _bar(job: SpeedJob) -> AbstractContextManager[Any]:
     import sys
 
     from tqdm import tqdm
@@ -367,7 +156,7 @@ def _say_what_is_there(files: ResultFiles) -> None:
         typer.echo(f"note: {count} finished vehicles are in {files.tracks.parent}", err=True)
 
 
-def _close(job: _Job, files: ResultFiles, summary: SpeedSummary, render: bool, json_file: Path | None) -> None:
+def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: bool, json_file: Path | None) -> None:
     """Print the closing table, write --json, and tell why a stream broke off."""
     report = summary.to_dict()
     rows: list[tuple[str, Any]] = [

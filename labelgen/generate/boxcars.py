@@ -16,8 +16,9 @@ from labelgen.errors import DataError, LabelgenError
 from labelgen.generate.encoding import ImageCodec
 from labelgen.generate.runner import Job, Progress, finished_part
 from labelgen.geometry.box3d import decode_boxes, encode_boxes, reorder_vertices
+from labelgen.geometry.pairs import Pair
 from labelgen.geometry.projective import Array, apply_homography
-from labelgen.geometry.rectification import Pair, Rectification, rectify_windows
+from labelgen.geometry.rectification import Rectification, rectify_windows
 from labelgen.labels import Flag, Labels, Sample, Split, VehicleClass
 from labelgen.shards import Reject, ShardWriter
 from labelgen.sources.boxcars import BoxCars, Instance

@@ -20,7 +20,8 @@ from labelgen.generate.runner import Job, Progress, finished_part
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
 from labelgen.geometry.mask_label import Rule
-from labelgen.geometry.rectification import Pair, Rectification, Region
+from labelgen.geometry.pairs import Pair, Region
+from labelgen.geometry.rectification import Rectification
 from labelgen.labels import Sample
 from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
 from labelgen.shards import Reject, ShardReader, ShardWriter

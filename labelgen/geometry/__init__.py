@@ -25,7 +25,8 @@ from labelgen.geometry.mask_label import (
     mask_polygon,
     rectified_outline,
 )
-from labelgen.geometry.rectification import Pair, Rectification, Region, parse_size, rectify_windows
+from labelgen.geometry.pairs import Pair, Region, parse_size
+from labelgen.geometry.rectification import Rectification, rectify_windows
 from labelgen.geometry.tangent_box import tangent_boxes, window_around
 
 __all__ = [

@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import cached_property
 from typing import Any, Literal
 
@@ -22,67 +20,18 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from labelgen.errors import LabelgenError, RectificationError
+from labelgen.errors import RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.hull import RoadMask
+from labelgen.geometry.pairs import Pair, Region
 from labelgen.geometry.projective import Array, apply_homography, bounding_boxes, clip_polygon, translation
 
-__all__ = ["CROP_STEP", "MIN_COVERAGE", "Pair", "Rectification", "Region", "parse_size", "rectify_windows"]
+__all__ = ["CROP_STEP", "MIN_COVERAGE", "Rectification", "rectify_windows"]
 
 CROP_STEP = 5
 """Rows cropped from the road mask's bottom per step of the coverage rule."""
 MIN_COVERAGE = 0.8
 """Share of the rectified image that the coverage rule asks for."""
-
-
-class Region(StrEnum):
-    """What a rectification is fitted to: the road, the whole frame (the earlier method), or nothing (Orig2D)."""
-
-    ROAD = "road"
-    FRAME = "frame"
-    NONE = "none"
-
-    @classmethod
-    def parse(cls, text: str) -> Region:
-        """Region from its name, in any case; LabelgenError names the known ones."""
-        for region in cls:
-            if region.value == text.strip().lower():
-                return region
-        raise LabelgenError(f"--region {text}: unknown region; use one of {', '.join(r.value for r in cls)}")
-
-
-class Pair(StrEnum):
-    """The two vanishing points whose directions become axis-parallel."""
-
-    VP2_VP3 = "VP2-VP3"
-    VP1_VP2 = "VP1-VP2"
-
-    @classmethod
-    def parse(cls, text: str) -> Pair:
-        """Pair from its name, in any case; LabelgenError names the known ones."""
-        for pair in cls:
-            if pair.value == text.strip().upper():
-                return pair
-        raise LabelgenError(f"--pair {text}: unknown pair; use one of {', '.join(p.value for p in cls)}")
-
-    @property
-    def vertical(self) -> int:
-        """Number of the vanishing point whose lines become vertical."""
-        return 3 if self is Pair.VP2_VP3 else 1
-
-    @property
-    def unused(self) -> int:
-        """Number of VPU, the vanishing point that stays finite."""
-        return 1 if self is Pair.VP2_VP3 else 3
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """(width, height) px from "640x360"; LabelgenError for anything else."""
-    match = re.fullmatch(r"\s*(\d{1,5})\s*[xX×]\s*(\d{1,5})\s*", text)
-    size = (int(match[1]), int(match[2])) if match else (0, 0)
-    if not all(16 <= n <= 8192 for n in size):
-        raise LabelgenError(f"--size {text}: unknown size; write WIDTHxHEIGHT in px, 16 to 8192, as 640x360")
-    return size
 
 
 def rectify_windows(

@@ -19,8 +19,9 @@ from labelgen.errors import RectificationError
 from labelgen.geometry.box3d import decode_boxes
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.mask_label import Rule, label_outlines, polygon_outline
+from labelgen.geometry.pairs import Pair
 from labelgen.geometry.projective import Array, bounding_boxes
-from labelgen.geometry.rectification import Pair, Rectification
+from labelgen.geometry.rectification import Rectification
 
 __all__ = ["tangent_boxes", "window_around"]
 

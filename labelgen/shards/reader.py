@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.rectification import Pair, Rectification, parse_size
+from labelgen.geometry.pairs import Pair, parse_size
+from labelgen.geometry.rectification import Rectification
 from labelgen.labels import Labels, Sample, Split
 from labelgen.shards.rejects import Reject, from_json_lines
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labelgen import __version__
 from labelgen.files import write_atomic
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.rectification import Pair
+from labelgen.geometry.pairs import Pair
 from labelgen.labels import Labels, Sample
 from labelgen.shards.rejects import Reject, to_json_lines
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, TEXT, VERSION, content_hash

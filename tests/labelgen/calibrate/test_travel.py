@@ -69,7 +69,9 @@ def test_lanes_that_converge_do_not_lift_the_horizon():
     tracks = [
         t
         for k in range(60)
-        for t in drive(cam, rng, y=(6.0, -1.0)[k % 2], heading_deg=(-1.0, 1.0)[k % 2], features=9, noise_px=0.15, x=(34.0, 18.0))
+        for t in drive(
+            cam, rng, y=(6.0, -1.0)[k % 2], heading_deg=(-1.0, 1.0)[k % 2], features=9, noise_px=0.15, x=(34.0, 18.0)
+        )
     ]
     lines, vehicles, travel = calibrated(tracks)
     alone = refine_travel(lines, travel.direction, np.arange(len(lines)))

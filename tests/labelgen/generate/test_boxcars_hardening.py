@@ -16,7 +16,7 @@ from boxcars_trees import write_tree
 from labelgen.errors import DataError
 from labelgen.generate.boxcars import boxcars_job
 from labelgen.generate.runner import run_job
-from labelgen.geometry.rectification import Pair
+from labelgen.geometry.pairs import Pair
 from labelgen.labels import Split
 from labelgen.manifest import load_manifest
 from labelgen.shards import DatasetSummary
