@@ -11,6 +11,7 @@ def test_public_names_are_these():
         "Outline",
         "Pair",
         "Rectification",
+        "Region",
         "RoadMask",
         "Rule",
         "cuboid_sizes",
