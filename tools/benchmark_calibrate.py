@@ -26,8 +26,9 @@ _STAGES = (
     ("labelgen.calibrate.features", "FeatureTracker", "see", "features"),
     ("labelgen.calibrate.features", "CameraShake", "see", "camera"),
     ("labelgen.calibrate.edgelets", "EdgeletFinder", "see", "edges"),
-    ("labelgen.calibrate.backdrop", "Backdrop", "finish", "learning the scene"),
-    ("labelgen.calibrate.backdrop", "Backdrop", "_moving", "silhouettes"),
+    ("labelgen.calibrate.backdrop", "Backdrop", "look", "keeping the scene"),
+    ("labelgen.calibrate.blobs", "BlobCollector", "see", "silhouettes"),
+    ("labelgen.calibrate.scale_ways", "ScaleWay", "__call__", "scale"),
     ("labelgen.calibrate.backdrop", "Backdrop", "picture", "empty picture"),
 )
 
@@ -43,6 +44,7 @@ def measure(video: Path) -> dict[str, Any]:
     import cv2
 
     from labelgen.calibrate import run
+    from labelgen.calibrate.scale_ways import scale_way
     from labelgen.sources.video import VideoFile
 
     cv2.setNumThreads(1)
@@ -57,7 +59,9 @@ def measure(video: Path) -> dict[str, Any]:
         setattr(owner, method, _timed(function, name, spent))
     try:
         start = time.process_time()
-        done = run.calibrate_video(VideoFile(video, threads=1), stop_early=False)
+        way = scale_way(["auto-models"])
+        frames = VideoFile(video, threads=1)
+        done = run.calibrate_video(frames, estimate_scale=way, collectors=way.collectors, stop_early=False)
         total = time.process_time() - start
     finally:
         for owner, function, (_, _, method, _) in zip(owners, plain, _STAGES, strict=True):

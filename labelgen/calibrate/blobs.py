@@ -103,10 +103,8 @@ class BlobCollector:
         self._last_s = -np.inf
         self._factor, self._looks, self.seen = 1.0, 0, 0
 
-    def see(
-        self, number: int, time_s: float, rgb: NDArray[np.uint8], moving: NDArray[np.bool_] | NDArray[np.uint8] | None
-    ) -> None:
-        """Take in a frame; what `moving` says is not used, since it does not tell shadows from vehicles."""
+    def see(self, number: int, time_s: float, rgb: NDArray[np.uint8]) -> None:
+        """Take in a frame."""
         if time_s < self._last_s + _PERIOD_S:
             return
         self._last_s = time_s

@@ -35,15 +35,10 @@ _FIRST_CHECK_S = 30.0
 class Collector(Protocol):
     """Something that rides on the pass over the video.
 
-    `see` is called in order of time, a few times per second of video, with the full-size frame. When the background
-    model is known `moving` is the (H, W) mask, full size, of what differs from the empty scene; None until then.
-    Frames from before the model was known are shown late, with their mask, so that `moving` is None only where no
-    model could be learnt at all.
+    `see` is called in order of time, a few times per second of video, with the frame (H, W, 3) RGB at full size.
     """
 
-    def see(
-        self, number: int, time_s: float, rgb: NDArray[np.uint8], moving: NDArray[np.bool_] | NDArray[np.uint8] | None
-    ) -> None: ...
+    def see(self, number: int, time_s: float, rgb: NDArray[np.uint8]) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +121,7 @@ class _Watch:
         self._tracker = FeatureTracker(self._factor)
         self._edges = EdgeletFinder(size_wh, self._factor)
         self._shake = CameraShake()
-        self._backdrop = Backdrop(silhouettes=bool(collectors))
+        self._backdrop = Backdrop()
         self._collectors = collectors
         self._looked_s = self._taken_s = -math.inf
 
@@ -152,20 +147,15 @@ class _Watch:
         self._looked_s = time_s
         self._shake.see(small)
         self._edges.see(grey, moving, time_s)
-        for look in self._backdrop.look(number, time_s, image):
-            self._give(*look)
-
-    def _give(self, number: int, time_s: float, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None) -> None:
+        self._backdrop.look(image)
         if self._collectors:
             rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
             for collector in self._collectors:
-                collector.see(number, time_s, rgb, mask)
+                collector.see(number, time_s, rgb)
 
     def finish(self) -> NDArray[np.uint8] | None:
         """At the end: what is still on its way, and the picture of the empty scene, RGB."""
         self._tracker.pause()
-        for look in self._backdrop.finish():
-            self._give(*look)
         picture = self._backdrop.picture()
         return None if picture is None else np.ascontiguousarray(picture[..., ::-1])
 

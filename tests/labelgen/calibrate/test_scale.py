@@ -269,8 +269,8 @@ def test_the_collector_finds_what_moves_and_keeps_a_bounded_sample() -> None:
         picture = ground.copy()
         x = 40 + 20 * number
         picture[200:320, x : x + 100] = (200, 40, 30)
-        collector.see(number, 0.4 * number, picture, None)
-        collector.see(number, 0.4 * number + 0.04, picture, None)  # too soon after the last to look at
+        collector.see(number, 0.4 * number, picture)
+        collector.see(number, 0.4 * number + 0.04, picture)  # too soon after the last to look at
     blobs = collector.blobs()
     assert 25 <= collector.seen <= 40
     assert len(blobs) == 20
