@@ -129,6 +129,7 @@ def test_values_stored_in_shards_do_not_change():
         "MISALIGNED": 8,
         "CANDIDATES_DISAGREE": 16,
         "TOUCHING": 32,
+        "FLAT": 64,
     }
 
 
