@@ -112,6 +112,20 @@ def test_cast_shadow_is_left_out(seen_road: MaskSource) -> None:
     assert found.boxes_xyxy[0, 2] < box[2] + 12
 
 
+@pytest.mark.parametrize("colour", [(230, 230, 230), (150, 90, 40), (45, 45, 45), (140, 140, 140)])
+def test_shade_under_a_grey_sky_is_left_out(seen_road: MaskSource, colour: tuple[int, int, int]) -> None:
+    x0, y0, x1, y1 = box = (290, 150, 370, 220)
+    # What the vehicle hides of the sky makes the road around its foot darker, the less the farther away.
+    away = np.ones((WH[1], WH[0]), dtype=np.uint8)
+    away[(y0 + y1) // 2 : y1, x0:x1] = 0
+    distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
+    shaded = (road() * (1 - 0.6 * np.exp(-distance / 16))[..., None]).astype(np.uint8)
+    found = look(seen_road, noisy(drive(shaded, box, colour), 7))
+    assert max(iou(found, box), default=0) > 0.85
+    assert len(found) == 1
+    assert found.boxes_xyxy[0] == pytest.approx(box, abs=6)
+
+
 def test_two_vehicles_side_by_side_stay_two(seen_road: MaskSource) -> None:
     one, two = (250, 150, 310, 200), (318, 150, 378, 200)
     found = look(seen_road, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 2))

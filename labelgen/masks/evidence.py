@@ -1,0 +1,108 @@
+"""What differs between an image and its empty scene, pixel by pixel, and whether that is a vehicle or its shadow.
+
+A shadow darkens without changing colour and without adding texture, so what is brighter, coloured, darker than the
+scene's shadows, or textured *inside* a changed region is evidence for a vehicle. An outline alone is no evidence: cast
+shadows have one too. Soft shadows have none: the sky that a vehicle hides leaves a shade around it, under a grey sky
+for a metre and more, that deepens towards the vehicle. What is reached through it from the open road without crossing
+an edge is road.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.masks.background_model import BackgroundModel, lightness, strongest
+from labelgen.masks.morphology import Mask, disc, morph
+
+__all__ = ["RIM", "Evidence", "find_evidence"]
+
+Image = NDArray[np.uint8]
+Plane = NDArray[np.float32]
+
+RIM = 2
+"""Within so many px of a changed region's outline texture is no evidence."""
+# Blurred borders are cut where the difference falls below this share of what it is 2 px further inside.
+_BORDER_SHARE = 0.35
+_LEVEL_SHARE = 0.85
+# Nothing flat is so dark without being a vehicle: at most this, and this far below the scene's typical shadow.
+_BLACK, _BELOW_SHADOW = 0.38, 0.17
+_BLACK_SHARE = 0.7
+_COLOUR_LEVELS = 14.0
+_TEXTURE_LEVELS = 22
+_DARK = 0.6
+# Shade is at least so bright relative to the road, and deepens by at most so much per px.
+_SHADE, _SHADE_SLOPE = 0.45, 0.025
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Maps of one image; masks are (H, W) uint8 of 0 and 1.
+
+    Args:
+        changed: what differs from the empty scene and is no soft shadow.
+        vehicle: those of them that no shadow explains.
+        dark: those of them that are dark.
+        shade: (H, W) float32, by which share a pixel is darker than the empty scene; -1 where it is brighter,
+            of another colour, or textured.
+    """
+
+    changed: Mask
+    vehicle: Mask
+    dark: Mask
+    shade: Plane
+
+
+def find_evidence(image: Image, model: BackgroundModel) -> Evidence:
+    """The evidence in an image (H, W, 3) uint8 BGR that lies on the model (`BackgroundModel.align`)."""
+    expected = model.expected(image)
+    threshold = model.threshold(expected)
+    smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.float32)
+    difference = strongest(cv2.absdiff(smooth, expected))
+    over = difference > np.maximum(threshold, _BORDER_SHARE * cv2.dilate(difference, disc(5)))
+    # Opening with an even kernel shifts by a pixel unless the way back is anchored at the other corner.
+    square = np.ones((2, 2), np.uint8)
+    opened = cv2.dilate(cv2.erode(over.view(np.uint8), square, anchor=(1, 1)), square, anchor=(0, 0))
+    changed = np.asarray(opened, dtype=np.uint8)
+
+    light, light_before = lightness(smooth), lightness(expected)
+    ratio = (light + 4) / (light_before + 4)
+    stain = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
+    changed &= ~_soft_shadow(changed, ratio, stain)
+    brighter = light - light_before > threshold
+    black = ratio < max(min(_BLACK, _BLACK_SHARE * model.shadow), model.shadow - _BELOW_SHADOW)
+    colour = stain > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
+    inside = morph(changed, cv2.MORPH_ERODE, 2 * RIM + 1)
+    # Outlines of dark things are blurred further inwards than a fixed rim: up to where the difference levels out.
+    peak = cv2.dilate(difference, disc(7))
+    blurred = (difference < _LEVEL_SHARE * peak) & (morph(changed, cv2.MORPH_ERODE, 11) == 0)
+    inside[blurred] = 0
+    # Texture that the ground has too shows through a shadow.
+    new = _range(light, inside) - _range(light_before, np.ones_like(inside)) * np.minimum(ratio, 1)
+    textured = new > np.maximum(_TEXTURE_LEVELS, (1 - _LEVEL_SHARE) * peak)
+    firm = brighter | colour | textured
+    shade = np.where(firm, np.float32(-1), 1 - ratio).astype(np.float32)
+    return Evidence(changed, changed & (firm | black), changed & (ratio < _DARK), shade)
+
+
+def _soft_shadow(changed: Mask, ratio: Plane, stain: Plane) -> Mask:
+    """The changed pixels that lie in a soft shadow: reached from the open road without crossing an edge."""
+    slope = np.hypot(cv2.Sobel(ratio, cv2.CV_32F, 1, 0), cv2.Sobel(ratio, cv2.CV_32F, 0, 1)) / 8
+    shade = (ratio < 1) & (ratio > _SHADE) & (stain < _COLOUR_LEVELS) & (slope < _SHADE_SLOPE)
+    passable = (shade | (changed == 0)).view(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(passable, connectivity=4)
+    if count < 2:
+        return np.zeros_like(changed)
+    road = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    return np.asarray((labels == road).view(np.uint8) & changed, dtype=np.uint8)
+
+
+def _range(grey: Plane, inside: Mask) -> Plane:
+    """Lightest minus darkest of the pixels inside, in 3 x 3; 0 outside."""
+    box = np.ones((3, 3), np.uint8)
+    lightest = cv2.dilate(np.where(inside > 0, grey, 0).astype(np.float32), box)
+    darkest = cv2.erode(np.where(inside > 0, grey, 255).astype(np.float32), box)
+    return np.where(inside > 0, lightest - darkest, 0).astype(np.float32)
