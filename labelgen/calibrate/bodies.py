@@ -14,14 +14,14 @@ import numpy as np
 
 from labelgen.geometry.projective import Array
 from labelgen.synth.bodies import body_mesh
-from labelgen.synth.shapes import BODY_TYPES
+from labelgen.synth.shapes import BODY_TYPES, mean_shape
 
 __all__ = ["SIZE_SPREAD", "Body", "common_bodies"]
 
 SIZE_SPREAD = (0.06, 0.03, 0.04)
 """Standard deviations of the length, width and height of the vehicles of one type, in shares."""
 _COMMON = ("supermini", "hatchback", "saloon", "estate", "suv", "minivan", "van")
-_DIRECTIONS = 150
+_DIRECTIONS, _SHORT_M = 3000, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +49,18 @@ def common_bodies() -> tuple[Body, ...]:
 
 
 def _corners(kind: str) -> Array:
-    mesh = body_mesh(BODY_TYPES[kind])
-    points = mesh.vertices
-    # Directions spread evenly over the sphere; the farthest point in each is a corner of the hull, and all that matter
-    # are found.
+    """The fewest corners of a body's hull that reach as far as it does in every direction, to a few millimetres."""
+    points = body_mesh(mean_shape(kind)).vertices
+    # Directions spread evenly over the sphere.
     k = np.arange(_DIRECTIONS) + 0.5
     z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + 5**0.5) * k
-    directions = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
-    return np.asarray(points[np.unique((points @ directions).argmax(axis=0))])
+    spread = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
+    reaches = points @ np.concatenate([spread, np.eye(3), -np.eye(3)], axis=1)
+    farthest = reaches.max(axis=0)
+    chosen = [int(reaches[:, 0].argmax())]
+    while True:
+        short = farthest - reaches[chosen].max(axis=0)
+        worst = int(short.argmax())
+        if short[worst] <= _SHORT_M:
+            return np.asarray(points[chosen])
+        chosen.append(int(reaches[:, worst].argmax()))

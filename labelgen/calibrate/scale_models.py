@@ -33,8 +33,10 @@ __all__ = ["scale_from_models"]
 _TURNS = 2 * np.pi * np.arange(24) / 24
 _DIRECTIONS = np.stack([np.cos(_TURNS), np.sin(_TURNS)])
 # Downwards a silhouette holds some of the shadow beneath the vehicle, and on the whole it is a little larger or
-# smaller than the vehicle: standard deviations of both, in shares of its size.
-_DOWN, _SHADOW, _SWELL = np.maximum(_DIRECTIONS[1], 0), 0.08, 0.01
+# smaller than the vehicle: mean and standard deviation of both, in shares of its size. The first mean is that of
+# background masks on rendered sessions.
+_DOWN = np.maximum(_DIRECTIONS[1], 0)
+_SHADOW, _SWELL = (0.022, 0.04), (0.003, 0.01)
 # An outline's error: this much of the frame's width, and this share of the silhouette's size.
 _ERROR_FRAME, _ERROR_SHARE = 1.6e-3, 0.02
 # Neighbouring directions err together: so many of them are worth one measurement each.
@@ -145,12 +147,13 @@ def _fit(unit: Camera, seen: _Silhouettes, bodies: Sequence[Body]) -> _Fits:
     assert unit.image_wh is not None
     points = _hypotheses(bodies)
     prior = np.log([body.share / 2 for body in bodies for _ in range(2)])
-    precision = np.array([0, 0, 0, *(1 / spread**2 for spread in (*SIZE_SPREAD, _SHADOW, _SWELL))])
+    precision = np.array([0, 0, 0, *(1 / spread**2 for spread in (*SIZE_SPREAD, _SHADOW[1], _SWELL[1]))])
+    expected = np.array([0, 0, 0, 0, 0, 0, _SHADOW[0], _SWELL[0]])
     error = np.hypot(_ERROR_FRAME * unit.image_wh[0], _ERROR_SHARE * seen.sizes)[:, None, None]
     worth = _INDEPENDENT / len(_TURNS)
     first = float(np.median(np.log(seen.widths / _TYPICAL_WIDTH_M)))
     # Parameters: X and Y on the road, log of units per metre, and of the stretch along each axis; shadow and swelling.
-    theta = np.zeros((len(seen.sizes), len(points), 8))
+    theta = np.tile(expected, (len(seen.sizes), len(points), 1))
     theta[..., :2], theta[..., 2] = seen.feet[:, None], first
     theta[..., 0] += _TYPICAL_HALF_LENGTH_M * np.exp(first)
     for step in range(_STEPS + 1):
@@ -165,7 +168,7 @@ def _fit(unit: Camera, seen: _Silhouettes, bodies: Sequence[Body]) -> _Fits:
         slopes /= error[..., None]
         weights = worth / np.maximum(1, np.abs(misses) / _HUBER)
         normal = np.swapaxes(slopes * weights[..., None], -1, -2) @ slopes + np.diag(precision)
-        pull = np.einsum("nhmi,nhm->nhi", slopes, weights * misses) - precision * theta
+        pull = np.einsum("nhmi,nhm->nhi", slopes, weights * misses) - precision * (theta - expected)
         change = np.linalg.solve(normal, pull[..., None])[..., 0]
         change[..., 2:] = np.clip(change[..., 2:], -_LONGEST_STEP, _LONGEST_STEP)
         longest = 4 * np.exp(theta[..., 2:3])
@@ -173,7 +176,7 @@ def _fit(unit: Camera, seen: _Silhouettes, bodies: Sequence[Body]) -> _Fits:
         theta += change
     size = np.abs(misses)
     robust = np.where(size < _HUBER, size**2 / 2, _HUBER * (size - _HUBER / 2)).sum(axis=-1)
-    cost = worth * robust + (precision * theta**2).sum(axis=-1) / 2
+    cost = worth * robust + (precision * (theta - expected) ** 2).sum(axis=-1) / 2
     variance = np.linalg.inv(normal)[..., 2, 2]
     bad = ~(np.isfinite(cost) & np.isfinite(variance) & (variance > 0))
     return _Fits(np.where(bad, 0, theta[..., 2]), np.where(bad, 1, variance), np.where(bad, 1e6, cost), prior)

@@ -38,6 +38,8 @@ _LONGEST = 6.0
 # Share of a changed region that evidence must span; below it vehicle and shadow look the same and both are kept.
 _SPANNED = 0.35
 _SOLID = 0.6
+# Spurs narrower than this share of a part's size are cut off.
+_SPUR = 0.12
 # Half the width of the thickest part, relative to the side of the smallest vehicle: edges of lane lines are thinner.
 _THICK = 0.3
 _PAD = 16
@@ -156,7 +158,9 @@ def _roof(part: Mask, dark: Mask) -> Mask:
 
 def _smooth(part: Mask) -> Mask | None:
     """The part without spurs and dents, or None if it is no solid shape."""
-    part = morph(part, cv2.MORPH_OPEN, max(3, 0.12 * np.sqrt(part.sum())))
+    size = max(3, _SPUR * np.sqrt(part.sum()))
+    # Opening rounds corners off; what it took next to what it left is given back, which leaves spurs their roots alone.
+    part = part & morph(morph(part, cv2.MORPH_OPEN, size), cv2.MORPH_DILATE, size / 2)
     contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return None

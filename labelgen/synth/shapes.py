@@ -8,7 +8,7 @@ import numpy as np
 
 from labelgen.labels import VehicleClass
 
-__all__ = ["BODY_TYPES", "Shape", "sample_shape"]
+__all__ = ["BODY_TYPES", "Shape", "mean_shape", "sample_shape"]
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,24 @@ def _stretched(point: tuple[float, float], along: float, up: float) -> tuple[flo
     return point[0] * along, point[1] * up
 
 
+# Bounds of what varies evenly about a type's form, as factors: the nose's height, how far windows lean inwards, how
+# round the corners are in plan, the wheels.
+_NOSES, _TUMBLES, _CORNERS, _WHEELS = (0.94, 1.08), (0.95, 1.4), (0.9, 1.7), (0.96, 1.05)
+
+
+def mean_shape(kind: str) -> Shape:
+    """The mean of a body type's vehicles, which lean and round more than its plainest form."""
+    base = BODY_TYPES[kind]
+    nose, tumble, corner, wheel = (sum(bounds) / 2 for bounds in (_NOSES, _TUMBLES, _CORNERS, _WHEELS))
+    return replace(
+        base,
+        nose=base.nose * nose,
+        tumble=base.tumble * tumble,
+        corner=base.corner * corner,
+        wheel=base.wheel * wheel,
+    )
+
+
 def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
     """One vehicle of a body type, with proportions that vary as real models do."""
     base = BODY_TYPES[kind]
@@ -112,17 +130,17 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
         length=base.length * along,
         width=base.width * wide,
         height=base.height * up,
-        nose=base.nose * up * rng.uniform(0.94, 1.08),
+        nose=base.nose * up * rng.uniform(*_NOSES),
         cowl=cowl,
         roof_front=(roof_front[0] + lean * (roof_front[0] - cowl[0]), roof_front[1]),
         roof_rear=_stretched(base.roof_rear, along, up),
         rear_window=_stretched(base.rear_window, along, up),
         tail=base.tail * up,
         belt=base.belt * up,
-        tumble=base.tumble * rng.uniform(0.95, 1.4),
-        corner=base.corner * rng.uniform(0.9, 1.7),
+        tumble=base.tumble * rng.uniform(*_TUMBLES),
+        corner=base.corner * rng.uniform(*_CORNERS),
         axles=tuple(d * along for d in base.axles),
-        wheel=base.wheel * rng.uniform(0.96, 1.05),
+        wheel=base.wheel * rng.uniform(*_WHEELS),
         cargo=None if base.cargo is None else (base.cargo[0] * along, base.cargo[1], base.cargo[2] * up),
         bed=None if base.bed is None else (base.bed[0] * along, base.bed[1]),
     )
