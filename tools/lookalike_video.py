@@ -34,6 +34,7 @@ class Place:
         weather: kind of light.
         sun: direction to it, where it shines; unit length is not needed.
         light: fields of `Light` that differ from the usual.
+        cast: (R, G, B) factors on all light.
         tone: factor on the usual albedo of the road.
         sensor: the camera's faults.
     """
@@ -48,22 +49,23 @@ class Place:
     sun: tuple[float, float, float]
     light: dict[str, float]
     tone: float = 1.0
+    cast: tuple[float, float, float] = (1.0, 1.0, 1.0)
     sensor: Sensor = PLAIN
 
 
 PLACES: dict[str, Place] = {
     "city": Place(
         (640, 360), 7.0, (22.0, 0.3), 620.0, -0.5, 1, "overcast", (0.2, 0.3, 0.9),
-        {"contrast": 1.1, "saturation": 1.25, "noise": 1.0}, 0.6, Sensor(sharpen=0.5, crf=27),
+        {"contrast": 1.1, "saturation": 1.25, "noise": 1.0}, 0.85, (1.0, 1.0, 1.03), Sensor(sharpen=1.0, crf=25),
     ),
     "motorway": Place(
         (848, 478), 7.4, (26.7, 0.4), 900.0, 0.5, -1, "day", (0.6, -0.35, 0.75),
-        {"contrast": 1.25, "saturation": 1.15, "noise": 1.2}, 0.8, Sensor(sharpen=0.5, crf=24),
+        {"contrast": 1.2, "saturation": 1.15, "noise": 1.5, "lift": 0.03}, 0.95, (1.02, 1.0, 0.97), Sensor(sharpen=0.9, crf=22, arms=0.012),
     ),
     "freeway": Place(
-        (320, 240), 11.5, (28.5, 4.3), 500.0, 5.0, 1, "day", (0.45, -0.5, 0.8),
-        {"contrast": 1.35, "saturation": 0.8, "noise": 2.0}, 1.9,
-        Sensor(smear=0.006, sharpen=0.4, peaking=1.2, crf=24),
+        (320, 240), 11.5, (28.5, 4.3), 500.0, 5.0, 1, "day", (0.2, 0.55, 0.8),
+        {"contrast": 1.4, "saturation": 0.9, "noise": 3.0, "exposure": 0.85}, 2.0, (0.94, 1.03, 1.05),
+        Sensor(smear=0.006, sharpen=1.2, peaking=1.2, crf=24),
     ),
 }  # fmt: skip
 
@@ -86,6 +88,7 @@ def render_place(place: Place, out: Path, seed: int, duration_s: float, per_minu
     light = make_light(Weather.parse(place.weather), rng)
     sun = np.array(place.sun) + rng.normal(0, 0.06, 3)
     given: dict[str, Any] = {**place.light, "road": light.road * place.tone, "sun_direction": sun / np.linalg.norm(sun)}
+    given |= {part: getattr(light, part) * place.cast for part in ("sun", "sky_low", "sky_high", "horizon")}
     light = replace(light, **given)
     background, still = draw_scene(scene, light, rng)
     trips = random_traffic(scene, duration_s, seed, per_minute=per_minute)

@@ -48,6 +48,7 @@ class Sensor:
         smear: sigma of the colours' blur along lines, share of the frame's width; 0 for none.
         sharpen: strength of the halos that sharpening leaves; 0 for none.
         peaking: strength of the halos along lines alone, as analogue cameras make them.
+        arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
         crf: quality of the H.264 stream; higher is worse.
         captions: text in the picture.
         start_s: time of day at the first frame.
@@ -57,6 +58,7 @@ class Sensor:
     smear: float = 0.0
     sharpen: float = 0.0
     peaking: float = 0.0
+    arms: float = 0.006
     crf: int = 21
     captions: tuple[Caption, ...] = ()
     start_s: float = 0.0
@@ -113,14 +115,16 @@ def make_sensor(rng: np.random.Generator) -> Sensor:
     style = rng.random()
     captions = _captions(rng) if rng.random() < 0.5 else ()
     start = rng.uniform(6, 20) * 3600
-    if style < 0.5:
-        return Sensor(crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
+    arms = rng.uniform(0.003, 0.013) if rng.random() < 0.6 else 0.0
+    if style < 0.35:
+        sharp = rng.uniform(0.0, 0.6) if rng.random() < 0.6 else 0.0
+        return Sensor(sharpen=sharp, arms=arms, crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
     if style < 0.8:
-        sharp = rng.uniform(0.3, 1.3)
-        return Sensor(rng.uniform(0.6, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start)
+        sharp = rng.uniform(0.4, 1.6)
+        return Sensor(rng.uniform(0.7, 1.0), 0.0, sharp, 0.0, arms, int(rng.integers(20, 30)), captions, start)
     coarse, smear = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
     sharp, peaking = rng.uniform(0.0, 1.2), rng.uniform(0.3, 2.0)
-    return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start)
+    return Sensor(coarse, smear, sharp, peaking, arms, int(rng.integers(20, 32)), captions, start)
 
 
 def _captions(rng: np.random.Generator) -> tuple[Caption, ...]:
