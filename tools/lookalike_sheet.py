@@ -75,12 +75,15 @@ def main(
 
     tiles = [(crop, "real") for crop in vehicle_crops(real, count, seed, min_px)]
     tiles += [(crop, "synthetic") for crop in vehicle_crops(synthetic, count, seed, min_px)]
-    order = np.random.default_rng([seed, 9]).permutation(len(tiles))
+    rng = np.random.default_rng([seed, 9])
+    order = rng.permutation(len(tiles))
     side, across = 300, 5
     sheet = np.full((-(-len(tiles) // across) * side, across * side, 3), 40, dtype=np.uint8)
     answer = {}
     for place, k in enumerate(order.tolist()):
         crop, kind = tiles[k]
+        if rng.random() < 0.5:  # roads are not to be known by their markings
+            crop = crop[:, ::-1]
         scale = (side - 10) / max(crop.shape[:2])
         picture = cv2.resize(
             crop, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC

@@ -91,7 +91,8 @@ def render_place(place: Place, out: Path, seed: int, duration_s: float, per_minu
     given |= {part: getattr(light, part) * place.cast for part in ("sun", "sky_low", "sky_high", "horizon")}
     light = replace(light, **given)
     background, still = draw_scene(scene, light, rng)
-    trips = random_traffic(scene, duration_s, seed, per_minute=per_minute)
+    # The other carriageway stays empty: sheets are to show what the camera is aimed at.
+    trips = [t for t in random_traffic(scene, duration_s, seed, per_minute=per_minute) if t.lane.index is not None]
     renderer = Renderer(camera, background, light, seed=seed, still=still, sensor=place.sensor)
     spans = {t.track_id: t.span_s(scene.x_range) for t in trips}
     bodies: dict[int, Any] = {}

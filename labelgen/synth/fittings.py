@@ -108,10 +108,16 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     if strip:
         skin.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.01, 0.03, 0.30), PLATE)
     for k in range(7):
-        if k != 3:
-            left = y + half * (-0.73 + 0.24 * k)
-            long = 0.018 * rng.uniform(0.6, 1.2)
-            skin.rectangle(chart, (left, z - 0.62 * tall), (left + long, z + 0.62 * tall), ink, PLATE)
+        if k == 3:
+            continue
+        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.62 * tall
+        for _ in range(int(rng.integers(2, 5))):  # strokes
+            if rng.random() < 0.5:
+                at = left + rng.uniform(0, wide - 0.012)
+                skin.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)
+            else:
+                at = z + rng.uniform(-high, high - 0.012)
+                skin.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
 
 
 def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
@@ -152,7 +158,7 @@ def passengers(
         skin.polygon(chart, points, colour, GLASS)
 
     long = high - low
-    tone = rng.uniform(0.012, 0.06)
+    tone = rng.uniform(0.012, 0.09)
     shelf = low + rng.uniform(0.16, 0.3) * long
     corners = [(low, -half), (shelf, -half * 0.95), (shelf, half * 0.95), (low, half)]
     if chart is not Chart.TOP:

@@ -230,10 +230,10 @@ def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     with np.errstate(divide="ignore"):
         flat_x, flat_y = x / np.maximum(z, 0.08), y / np.maximum(z, 0.08)
     puffs = np.zeros_like(z)
-    for scale in (0.9, 1.9, 4.1):
+    for scale in (0.9, 1.9, 4.1, 8.7):
         a, b, c = rng.uniform(0, 2 * np.pi, 3)
         puffs += np.sin(scale * flat_x + a + np.sin(scale * flat_y + b)) * np.cos(scale * flat_y + c) / scale**0.5
-    cloud = np.clip(puffs - rng.uniform(-0.4, 0.9), 0, 1)[..., None]
+    cloud = np.clip(2.2 * (puffs - rng.uniform(-0.3, 1.1)), 0, 1)[..., None]
     white = 0.45 * (light.sun + light.ambient) if light.sun.max() > 0.3 else 0.62 * light.sky_high
     out = out + (white - out) * cloud * 0.8
     if light.sun.max() > 0.3:  # air is bright around the sun

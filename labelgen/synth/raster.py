@@ -250,7 +250,8 @@ def _light_on(
     rx, ry, rz = 2 * facing * nx - ex, 2 * facing * ny - ey, 2 * facing * nz - ez
     er, eg, eb = _environment(rx * heading, ry * heading, rz, around)
     if rz < 0:
-        er, eg, eb = er * ground, eg * ground, eb * ground
+        mirrored = ground * ground
+        er, eg, eb = er * mirrored, eg * mirrored, eb * mirrored
     toward_sun = max(0.0, rx * sun_x + ry * sun_y + rz * sun_z)
     fresnel, gleam, spread, scattered = _gloss(material, paint, toward_sun, 1 - facing)
     if material == PAINT:

@@ -274,7 +274,7 @@ class Renderer:
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
-        ss = 3 if max(size) < 140 else 2 if max(size) < 500 else 1
+        ss = 3 if max(size) < 110 else 2 if max(size) < 500 else 1
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
