@@ -71,7 +71,9 @@ def measure(
     light = make_light(Weather.DAY, rng)
     background, still = draw_scene(scene, light, rng)
     trips = random_traffic(scene, 600.0, seed, per_minute=60)
-    renderer = render.Renderer(scene.camera, background, light, seed=seed, still=still, sensor=_FAULTY if faults else PLAIN)
+    renderer = render.Renderer(
+        scene.camera, background, light, seed=seed, still=still, sensor=_FAULTY if faults else PLAIN
+    )
     batches = _busy_moments(renderer, trips, scene, vehicles, frames)
     count = len(batches)
     if not count:

@@ -64,7 +64,7 @@ PLACES: dict[str, Place] = {
     ),
     "freeway": Place(
         (320, 240), 11.5, (28.5, 4.3), 500.0, 5.0, 1, "day", (0.2, 0.55, 0.8),
-        {"contrast": 1.4, "saturation": 0.9, "noise": 3.0, "exposure": 0.85}, 2.0, (0.94, 1.03, 1.05),
+        {"contrast": 1.3, "saturation": 1.2, "noise": 3.0, "exposure": 0.72}, 2.0, (0.94, 1.03, 1.05),
         Sensor(smear=0.006, sharpen=1.2, peaking=1.2, crf=24),
     ),
 }  # fmt: skip

@@ -192,6 +192,7 @@ _TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, _SEAM)
+    braking = bool(rng.random() < 0.15)
     narrow = half * (1 - 0.6 * shape.corner)
     foot = shape.clearance + 0.10 + style.cladding
     bumper_top = shape.clearance + rng.uniform(0.26, 0.36)
@@ -210,11 +211,11 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if shape.kind == "van":
         _rear_doors(skin, shape, style, seam, rng)
     elif shape.cargo is None:
-        _rear_screen(skin, shape, style, rng)
+        _rear_screen(skin, shape, style, braking, rng)
     top, tall = shape.tail - 0.04, rng.uniform(0.12, 0.22)
     if shape.kind == "van":
         top, tall = 1.15, 0.3
-    _tail_lamps(skin, shape, style, narrow, top, tall, rng, lamps)
+    _tail_lamps(skin, shape, style, narrow, top, tall, rng, lamps, braking)
     lid = 0.82 * narrow
     for points in ([(-lid, bumper_top), (-lid, top)], [(lid, bumper_top), (lid, top)]):
         skin.line(Chart.REAR, points, dim(paint, 0.55), PAINT)
@@ -259,7 +260,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
     skin.rectangle(Chart.REAR, (0.04, 1.0), (0.16, 1.06), TRIM, MATTE)
 
 
-def _rear_screen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator) -> None:
+def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.random.Generator) -> None:
     half = shape.width / 2
     low, high = shape.rear_window, shape.roof_rear
     y0, y1 = cabin_edge(shape, half, low[1]) - 0.10, cabin_edge(shape, half, high[1]) - 0.12
@@ -269,21 +270,15 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generato
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low[1] + 0.04), (0.35, low[1] + 0.12)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
-    skin.rectangle(Chart.REAR, (-0.12, high[1] - 0.05), (0.12, high[1] - 0.03), (0.25, 0.01, 0.01), GLASS)
+    third: tuple[Colour, int] = ((1.0, 0.12, 0.10), LIT) if braking else ((0.12, 0.008, 0.008), GLASS)
+    skin.rectangle(Chart.REAR, (-0.14, high[1] - 0.075), (0.14, high[1] - 0.04), *third)
 
 
 def _tail_lamps(
-    skin: Skin,
-    shape: Shape,
-    style: Style,
-    narrow: float,
-    top: float,
-    tall: float,
-    rng: np.random.Generator,
-    lamps: bool,
-) -> None:
+    skin: Skin, shape: Shape, style: Style, narrow: float, top: float, tall: float, rng: np.random.Generator,
+    lamps: bool, braking: bool,
+) -> None:  # fmt: skip
     family = _TAIL_LAMPS[style.rear_lamp]
-    braking = rng.random() < 0.15
     bright = rng.uniform(0.6, 1.4)
     red: Colour = (0.45, 0.014, 0.016) if lamps else (0.17 * bright, 0.010, 0.014)
     if braking:

@@ -90,8 +90,8 @@ def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
 
 
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.58, 0.58, 0.56), BLACK, True), ((0.52, 0.36, 0.04), BLACK, True), ((0.05, 0.15, 0.36), (0.6, 0.6, 0.6), False),
-    ((0.55, 0.55, 0.53), (0.05, 0.08, 0.25), False),
+    ((0.68, 0.68, 0.66), BLACK, True), ((0.52, 0.36, 0.04), BLACK, True), ((0.05, 0.15, 0.36), (0.6, 0.6, 0.6), False),
+    ((0.66, 0.66, 0.63), (0.05, 0.08, 0.25), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 
@@ -102,7 +102,8 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     ground, ink, strip = _PLATES[family]
     half, tall = (0.26, 0.055) if family < 2 else (0.21, 0.07)
     recess = [(y - half, z + tall), (y + half, z + tall), (y + half, z - tall), (y - half, z - tall)]
-    skin.shadow(chart, [*recess, recess[0]], 0.45, 0.05)
+    skin.flatten(chart, recess)
+    skin.shadow(chart, [*recess, recess[0]], 0.3, 0.05)
     skin.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), BLACK, MATTE)
     skin.rectangle(chart, (y - half, z - tall), (y + half, z + tall), ground, PLATE)
     if strip:

@@ -189,7 +189,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
     if material == GLASS:
         if sharp:
             gleam = 25.0 * toward_sun**600
-        return 0.085 + 0.915 * away * away * away * away, gleam, 0.0, 0.5
+        return 0.075 + 0.925 * away * away * away * away, gleam, 0.0, 0.5
     if material == LAMP:
         if sharp:
             gleam = 10.0 * toward_sun**200

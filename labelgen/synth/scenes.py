@@ -17,6 +17,7 @@ __all__ = ["Lane", "Scene", "carriageways", "look_at_road", "procedural_scene", 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
 _LEAST_SEEN_M = 32.0
+_TRAFFIC_TO_M = 170.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +183,7 @@ def procedural_scene(
     across = [_line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
     along = [_line_through(camera, (near, y), (far, y)) for y in edges]
     mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
-    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, FARTHEST_M))
+    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
 
 
 def _seen_length(camera: Camera, y: float) -> float:

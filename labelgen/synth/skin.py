@@ -107,9 +107,7 @@ class Skin:
         thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, -depth, thick, cv2.LINE_8, 4)
 
-    def bow(
-        self, chart: Chart, points: Any, bend: Sequence[float], lean: Sequence[float] = (0.0, 0.0)
-    ) -> None:
+    def bow(self, chart: Chart, points: Any, bend: Sequence[float], lean: Sequence[float] = (0.0, 0.0)) -> None:
         """Curve a panel within a polygon, as its normals show it; the mesh stays as it is.
 
         Args:
@@ -129,6 +127,12 @@ class Skin:
         view = self._bows[:, rows][:, y : y + h, x : x + w]
         view[0] += np.where(inside, lean[0] - bend[0] * across[None], 0)
         view[1] += np.where(inside, lean[1] - bend[1] * down[:, None], 0)
+
+    def flatten(self, chart: Chart, points: Any) -> None:
+        """Take out within a polygon what `bow` has curved: number plates are flat."""
+        rows = self._rows(chart)
+        for plane in self._bows:
+            cv2.fillPoly(plane[rows], [self._pixels(chart, points)], 0.0, cv2.LINE_8, 4)
 
     def shadow(self, chart: Chart, points: Any, share: float, width: float = 0.05) -> None:
         """Keep a share of the light from a line, softly, as hollows and edges do.
