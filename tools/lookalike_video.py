@@ -35,6 +35,7 @@ class Place:
         sun: direction to it, where it shines; unit length is not needed.
         light: fields of `Light` that differ from the usual.
         cast: (R, G, B) factors on all light.
+        sky: factor on the light of the sky; shadows are deeper with less.
         tone: factor on the usual albedo of the road.
         sensor: the camera's faults.
     """
@@ -50,22 +51,25 @@ class Place:
     light: dict[str, float]
     tone: float = 1.0
     cast: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    sky: float = 1.0
     sensor: Sensor = PLAIN
 
 
 PLACES: dict[str, Place] = {
     "city": Place(
         (640, 360), 7.0, (22.0, 0.3), 620.0, -0.5, 1, "overcast", (0.2, 0.3, 0.9),
-        {"contrast": 1.1, "saturation": 1.25, "noise": 1.0}, 0.85, (1.0, 1.0, 1.03), Sensor(sharpen=1.0, crf=25),
+        {"contrast": 1.15, "saturation": 1.25, "noise": 1.0}, 0.85, (1.01, 1.0, 1.0), 1.0,
+        Sensor(sharpen=0.9, crf=25),
     ),
     "motorway": Place(
         (848, 478), 7.4, (26.7, 0.4), 900.0, 0.5, -1, "day", (0.6, -0.35, 0.75),
-        {"contrast": 1.2, "saturation": 1.15, "noise": 1.5, "lift": 0.03}, 0.95, (1.02, 1.0, 0.97), Sensor(sharpen=0.9, crf=22, arms=0.012),
+        {"contrast": 1.1, "saturation": 1.3, "exposure": 1.75, "noise": 1.8, "lift": 0.06}, 0.9, (1.02, 1.0, 0.97), 0.7,
+        Sensor(sharpen=1.1, crf=21, arms=0.012),
     ),
     "freeway": Place(
         (320, 240), 11.5, (28.5, 4.3), 500.0, 5.0, 1, "day", (0.2, 0.55, 0.8),
-        {"contrast": 1.3, "saturation": 1.2, "noise": 3.0, "exposure": 0.72}, 2.0, (0.94, 1.03, 1.05),
-        Sensor(smear=0.006, sharpen=1.2, peaking=1.2, crf=24),
+        {"contrast": 1.3, "saturation": 1.4, "noise": 4.5, "exposure": 0.75, "lift": 0.03}, 2.0, (0.91, 1.03, 1.07), 0.55,
+        Sensor(smear=0.007, sharpen=2.4, peaking=1.2, crf=20),
     ),
 }  # fmt: skip
 
@@ -88,7 +92,8 @@ def render_place(place: Place, out: Path, seed: int, duration_s: float, per_minu
     light = make_light(Weather.parse(place.weather), rng)
     sun = np.array(place.sun) + rng.normal(0, 0.06, 3)
     given: dict[str, Any] = {**place.light, "road": light.road * place.tone, "sun_direction": sun / np.linalg.norm(sun)}
-    given |= {part: getattr(light, part) * place.cast for part in ("sun", "sky_low", "sky_high", "horizon")}
+    given |= {part: getattr(light, part) * place.cast for part in ("sun", "horizon")}
+    given |= {part: getattr(light, part) * place.cast * place.sky for part in ("sky_low", "sky_high")}
     light = replace(light, **given)
     background, still = draw_scene(scene, light, rng)
     # The other carriageway stays empty: sheets are to show what the camera is aimed at.

@@ -58,13 +58,13 @@ def _bow_end(
     """Round a bumper and the panel above it, both across and from top to bottom. `heights`: their three borders."""
     foot, middle, top = heights
     bumper = [(-half, foot), (half, foot), (half, middle), (-half, middle)]
-    skin.bow(chart, bumper, (0.2, rng.uniform(1.4, 2.6)), (0.0, 0.12))
+    skin.bow(chart, bumper, (0.2, rng.uniform(2.4, 4.2)), (0.0, 0.10))
     skin.bow(
-        chart, [(-half, middle), (half, middle), (half, top), (-half, top)], (0.25, rng.uniform(0.5, 1.3)), (0.0, 0.05)
+        chart, [(-half, middle), (half, middle), (half, top), (-half, top)], (0.25, rng.uniform(1.0, 2.4)), (0.0, 0.05)
     )
     # The ledge on which the upper panel stands catches the sky, what lies under the bumper sees the road alone.
     ledge = [(-half, middle - 0.045), (half, middle - 0.045), (half, middle), (-half, middle)]
-    skin.bow(chart, ledge, (0.0, 0.0), (0.0, rng.uniform(0.3, 0.7)))
+    skin.bow(chart, ledge, (0.0, 0.0), (0.0, rng.uniform(0.4, 0.9)))
     skin.shadow(chart, [(-half, foot - 0.03), (half, foot - 0.03)], 0.75, 0.1)
 
 

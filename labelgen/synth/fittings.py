@@ -72,7 +72,7 @@ def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
     private = clear if rng.random() < 0.55 else 0.006
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
-        rails = int(rng.choice(3, p=[0.3, 0.35, 0.35]))
+        rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
     return Style(
         grille=int(rng.integers(7)),
         lamp=int(rng.integers(6)),
@@ -166,7 +166,7 @@ def passengers(
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
     for _ in range(int(rng.integers(10, 26))):  # what else lies, hangs and gleams in there, and what the glass mirrors
-        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.10))))
+        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.03 if rear else 0.10))))
         place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
         oval(*place, rng.uniform(0.015, 0.14), rng.uniform(0.012, 0.06) * long, (grey * 0.95, grey * 1.05, grey))
     for side in (-0.5, 0.5):

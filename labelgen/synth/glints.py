@@ -23,6 +23,7 @@ class Stars:
     """
 
     def __init__(self, arm_px: float, rng: np.random.Generator) -> None:
+        self._arm_px = arm_px
         arms, turn = int(rng.choice([4, 6, 8])), rng.uniform(0, np.pi)
         self._sprites = [_star(arm_px * (k + 1) / _SIZES, arms, turn) for k in range(_SIZES)] if arm_px >= 1 else []
 
@@ -43,10 +44,13 @@ class Stars:
         count, _, stats, centres = cv2.connectedComponentsWithStats(bright)
         largest = 0.01 * layer.shape[0] * layer.shape[1]
         spots = [k for k in range(1, count) if 1 < stats[k, 4] < largest]
-        for k in sorted(spots, key=lambda k: -int(stats[k, 4]))[:_MOST]:
+        drawn: list[NDArray[np.float64]] = []
+        for k in sorted(spots, key=lambda k: -int(stats[k, 4])):
             x, y = (round(float(c)) for c in centres[k])
-            if hidden.size and hidden[y, x] > 128:
+            near = any(np.hypot(*(centres[k] - other)) < 1.5 * self._arm_px for other in drawn)
+            if near or len(drawn) == _MOST or (hidden.size and hidden[y, x] > 128):
                 continue
+            drawn.append(centres[k])
             size = min(_SIZES - 1, int(np.log2(stats[k, 4]) * 0.7))
             _lay(image, self._sprites[size], x + origin_px[0], y + origin_px[1])
 

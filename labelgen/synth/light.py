@@ -190,17 +190,19 @@ def varied_light(light: Light, rng: np.random.Generator) -> Light:
     hazy = rng.random() < 0.22
     cast = rng.normal(1, 0.035 if rng.random() < 0.3 else 0.012, 3)
     flat = not hazy and rng.random() < 0.2
+    # Deep shadows where the sun shines through clear air.
+    clear = rng.uniform(0.5, 1.05) if light.sun.max() > 0.3 and not hazy else 1.0
     return replace(
         light,
         road=road,
         sun=light.sun * cast * rng.uniform(0.8, 1.25),
-        sky_low=light.sky_low * cast,
-        sky_high=light.sky_high * cast,
+        sky_low=light.sky_low * cast * clear,
+        sky_high=light.sky_high * cast * clear,
         horizon=light.horizon * cast,
         exposure=light.exposure * (before / after) ** 0.5 * rng.uniform(0.85, 1.25),
         noise=light.noise * rng.uniform(0.5, 1.8),
         haze_per_m=rng.uniform(0.002, 0.010) if hazy else rng.uniform(0, 0.0015),
-        saturation=rng.uniform(0.0, 0.6) if rng.random() < 0.17 else rng.uniform(0.8, 1.4),
+        saturation=rng.uniform(0.0, 0.6) if rng.random() < 0.17 else rng.uniform(0.85, 1.6),
         contrast=rng.uniform(0.6, 0.85) if flat else rng.uniform(1.0, 1.4),
         lift=rng.uniform(0.02, 0.15) if flat else 0.0,
     )

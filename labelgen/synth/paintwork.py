@@ -184,10 +184,10 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if style.rails:
         rail = (BLACK, MATTE) if style.rails == 1 else (CHROME_TONE, CHROME)
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.045)
+            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
     elif shape.kind != "bus" and shape.cargo is None:
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.4), PAINT, 0.02)
+            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.6), PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
     if sunroof < 0.13 and shape.kind not in ("van", "bus") and shape.cargo is None:
         long = 0.75 if sunroof < 0.08 else roof[1] - roof[0] - 0.3

@@ -48,20 +48,20 @@ class Sensor:
         smear: sigma of the colours' blur along lines, share of the frame's width; 0 for none.
         sharpen: strength of the halos that sharpening leaves; 0 for none.
         peaking: strength of the halos along lines alone, as analogue cameras make them.
-        arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
         crf: quality of the H.264 stream; higher is worse.
         captions: text in the picture.
         start_s: time of day at the first frame.
+        arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
     """
 
     lines: float = 1.0
     smear: float = 0.0
     sharpen: float = 0.0
     peaking: float = 0.0
-    arms: float = 0.006
     crf: int = 21
     captions: tuple[Caption, ...] = ()
     start_s: float = 0.0
+    arms: float = 0.006
 
     def before_noise(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it.
@@ -133,10 +133,10 @@ def make_sensor(rng: np.random.Generator) -> Sensor:
         return Sensor(sharpen=sharp, arms=arms, crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
     if style < 0.8:
         sharp = rng.uniform(0.4, 1.6)
-        return Sensor(rng.uniform(0.7, 1.0), 0.0, sharp, 0.0, arms, int(rng.integers(20, 30)), captions, start)
+        return Sensor(rng.uniform(0.7, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start, arms)
     coarse, smear = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
     sharp, peaking = rng.uniform(0.0, 1.2), rng.uniform(0.3, 2.0)
-    return Sensor(coarse, smear, sharp, peaking, arms, int(rng.integers(20, 32)), captions, start)
+    return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start, arms)
 
 
 def _captions(rng: np.random.Generator) -> tuple[Caption, ...]:
