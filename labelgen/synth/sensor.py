@@ -134,8 +134,8 @@ def make_sensor(rng: np.random.Generator) -> Sensor:
     if style < 0.8:
         sharp = rng.uniform(0.4, 1.6)
         return Sensor(rng.uniform(0.7, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start, arms)
-    coarse, smear = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
-    sharp, peaking = rng.uniform(0.0, 1.2), rng.uniform(0.3, 2.0)
+    coarse, smear = min(1.0, rng.uniform(0.3, 1.1)), rng.uniform(0.002, 0.008)
+    sharp, peaking = rng.uniform(0.0, 2.4), rng.uniform(0.3, 1.6)
     return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start, arms)
 
 
