@@ -95,7 +95,9 @@ def main(
         typer.echo(f"{name:>22} {a:9.2f} {b:9.2f} {more:20.2f}")
     typer.echo(f"{told:.0%} of {len(others) + len(crops)} crops sorted rightly by a linear rule on all but the width")
     if json_file is not None:
-        json_file.write_text(json.dumps({n: [a, b, m] for n, a, b, m in rows} | {"told apart": told}, indent=1) + "\n", encoding="utf-8")
+        json_file.write_text(
+            json.dumps({n: [a, b, m] for n, a, b, m in rows} | {"told apart": told}, indent=1) + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

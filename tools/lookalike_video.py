@@ -36,7 +36,7 @@ class Place:
         light: fields of `Light` that differ from the usual.
         cast: (R, G, B) factors on all light.
         sky: factor on the light of the sky; shadows are deeper with less.
-        tone: factor on the usual albedo of the road.
+        tone: factor on the usual albedo of the road, most of which is free of the cast.
         sensor: the camera's faults.
     """
 
@@ -67,9 +67,9 @@ PLACES: dict[str, Place] = {
         Sensor(sharpen=1.1, crf=21, arms=0.012),
     ),
     "freeway": Place(
-        (320, 240), 11.5, (28.5, 4.3), 500.0, 5.0, 1, "day", (0.2, 0.55, 0.8),
+        (320, 240), 12.5, (31.0, 4.7), 480.0, 5.0, 1, "day", (0.2, 0.55, 0.8),
         {"contrast": 1.15, "saturation": 1.4, "noise": 5.5, "exposure": 0.75, "lift": 0.03}, 2.0, (0.88, 1.03, 1.07), 0.55,
-        Sensor(smear=0.007, sharpen=2.0, peaking=1.2, crf=20),
+        Sensor(lines=0.85, smear=0.007, sharpen=2.6, peaking=1.6, crf=25),
     ),
 }  # fmt: skip
 
@@ -91,7 +91,11 @@ def render_place(place: Place, out: Path, seed: int, duration_s: float, per_minu
     scene = procedural_scene(rng, place.size_wh, heading=place.heading, seen_from=(camera, place.middle_m))
     light = make_light(Weather.parse(place.weather), rng)
     sun = np.array(place.sun) + rng.normal(0, 0.06, 3)
-    given: dict[str, Any] = {**place.light, "road": light.road * place.tone, "sun_direction": sun / np.linalg.norm(sun)}
+    given: dict[str, Any] = {
+        **place.light,
+        "road": place.tone * light.road.mean() / np.array(place.cast) ** 0.8,
+        "sun_direction": sun / np.linalg.norm(sun),
+    }
     given |= {part: getattr(light, part) * place.cast for part in ("sun", "horizon")}
     given |= {part: getattr(light, part) * place.cast * place.sky for part in ("sky_low", "sky_high")}
     light = replace(light, **given)

@@ -224,7 +224,8 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     skin.emboss(Chart.REAR, [(-lid, crease), (lid, crease), (lid, top + 0.3), (-lid, top + 0.3)], 0.012, soft=True)
     if rng.random() < 0.35:
         skin.rectangle(Chart.REAR, (-0.3, top - tall - 0.01), (0.3, top - tall + 0.015), CHROME_TONE, CHROME)
-    skin.circle(Chart.REAR, (0, top - 0.06), 0.04, CHROME_TONE, CHROME)
+    skin.circle(Chart.REAR, (0, top - 0.06), rng.uniform(0.025, 0.04), BLACK, PAINT)
+    skin.circle(Chart.REAR, (0, top - 0.06), 0.024, CHROME_TONE, CHROME)
     if rng.random() < 0.7:
         _model_names(skin, narrow, top, tall, rng)
     high = max(bumper_top + 0.08, top - tall - 0.05)
@@ -242,8 +243,8 @@ def _model_names(skin: Skin, narrow: float, top: float, tall: float, rng: np.ran
     for side in (-1, 1) if rng.random() < 0.6 else (int(rng.choice([-1, 1])),):
         start, count = rng.uniform(0.22, 0.4) * narrow, int(rng.integers(2, 7))
         for k in range(count):
-            y = side * (start + 0.042 * k)
-            skin.rectangle(Chart.REAR, (y - 0.012, z - 0.016), (y + 0.012, z + 0.016), CHROME_TONE, CHROME)
+            y = side * (start + 0.034 * k)
+            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), CHROME_TONE, LAMP)
 
 
 def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:

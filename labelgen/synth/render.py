@@ -217,11 +217,15 @@ class Renderer:
         # Shadows are soft: half the resolution does.
         half = (max((x1 - x0) // 2, 1), max((y1 - y0) // 2, 1))
         to_half = np.array(half) / (x1 - x0, y1 - y0)
+        # Far away a pixel spans many cells; the map's columns run along the road, which is upright in the picture.
+        few = (min(w, 2 * half[1] + 2), min(h, 2 * half[0] + 2))
+        shrunk = shadow.left if few == (w, h) else cv2.resize(shadow.left, few, interpolation=cv2.INTER_AREA)
+        corners_few = (corners_map[:, :2] + 0.5) * np.array(few) / (w, h) - 0.5
         matrix = cv2.getPerspectiveTransform(
-            corners_map[:, :2].astype(np.float32), ((pixels - [x0, y0]) * to_half - 0.5).astype(np.float32)
+            corners_few.astype(np.float32), ((pixels - [x0, y0]) * to_half - 0.5).astype(np.float32)
         )
         left = cv2.warpPerspective(
-            shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
+            shrunk, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
         clear = self._clear(placed)
         if clear < 0.97:  # air fills shadows up
