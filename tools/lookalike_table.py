@@ -2,10 +2,10 @@
 
     python -m tools.lookalike_table REAL.mp4 SYNTHETIC.avi --min-px 36
 
-Both videos are cut as for `tools.lookalike_sheet`. For each figure the table gives the median over the real and over the
-synthetic crops, and how well the figure alone tells them apart: the chance that a synthetic crop has more of it than
-a real one, 0.50 when it tells nothing. Last comes how many of the crops a linear rule on all figures but the width sorts
-rightly when it was made without the crop it sorts; 0.50 is guessing.
+Both videos are cut as for `tools.lookalike_sheet`. For each figure the table gives the median over the real and over
+the synthetic crops, and how well the figure alone tells them apart: the chance that a synthetic crop has more of it
+than a real one, 0.50 when it tells nothing. Last comes how many of the crops a linear rule on all figures but the width
+sorts rightly when it was made without the crop it sorts; half of them by guessing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ __all__ = ["FIGURES", "compare", "figures", "main", "told_apart"]
 
 FIGURES = (
     "width px", "mean grey", "contrast", "mean gradient", "95 % gradient", "99 % gradient", "fine / all contrast",
-    "middle / all contrast", "black px %", "white px %", "colour spread", "strongest colour", "cast b - y", "cast r - c",
+    "middle / all contrast", "black px %", "white px %", "colour spread", "strongest colour",
+    "cast b - y", "cast r - c",
 )  # fmt: skip
 
 
@@ -44,7 +45,8 @@ def figures(crop: Any) -> list[float]:
     strength = np.hypot(colour[..., 0], colour[..., 1])
     return [
         float(width), float(grey.mean()), float(grey.std()), float(gradient.mean()),
-        *(float(v) for v in np.percentile(gradient, (95, 99))), float(fine.std()) / spread, float(middle.std()) / spread,
+        float(np.percentile(gradient, 95)), float(np.percentile(gradient, 99)),
+        float(fine.std()) / spread, float(middle.std()) / spread,
         100 * float((grey < 30).mean()), 100 * float((grey > 225).mean()), float(colour.std(axis=(0, 1)).mean()),
         float(np.percentile(strength, 98)), float(np.median(colour[..., 1])), float(np.median(colour[..., 0])),
     ]  # fmt: skip
@@ -61,7 +63,7 @@ def compare(real: list[Any], synthetic: list[Any]) -> list[tuple[str, float, flo
 
 
 def told_apart(real: list[Any], synthetic: list[Any]) -> float:
-    """Share of crops that Fisher's linear rule on all figures but the width sorts rightly, each left out in its turn."""
+    """Share of crops that Fisher's linear rule on all figures but the width sorts rightly, each left out in turn."""
     import numpy as np
 
     rows = np.array([figures(c)[1:] for c in [*real, *synthetic]])

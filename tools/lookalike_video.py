@@ -68,8 +68,8 @@ PLACES: dict[str, Place] = {
     ),
     "freeway": Place(
         (320, 240), 12.5, (31.0, 4.7), 480.0, 5.0, 1, "day", (0.2, 0.55, 0.8),
-        {"contrast": 1.15, "saturation": 1.4, "noise": 5.5, "exposure": 0.75, "lift": 0.03}, 2.0, (0.88, 1.03, 1.07), 0.55,
-        Sensor(lines=0.85, smear=0.007, sharpen=2.6, peaking=1.6, crf=25),
+        {"contrast": 1.15, "saturation": 1.4, "noise": 5.5, "exposure": 0.72, "lift": 0.03},
+        2.0, (0.88, 1.03, 1.07), 0.55, Sensor(smear=0.007, sharpen=2.0, peaking=1.2, crf=20),
     ),
 }  # fmt: skip
 

@@ -281,10 +281,7 @@ def shade(
     light: _F, around: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float],
     ss: int,
 ) -> _F:  # fmt: skip
-    """Colour of every pixel.
-
-    One triangle per drawing is lit in each pixel, however many of its samples see others; with 9 samples
-    a pixel, every other one, since the pixels are coarse then for what is drawn.
+    """Colour of every pixel: one triangle per drawing is lit in each; with 9 samples a pixel, every other sample.
 
     Args:
         ids: what `visible_triangles` returned.
