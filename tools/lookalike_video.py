@@ -93,7 +93,7 @@ def render_place(place: Place, out: Path, seed: int, duration_s: float, per_minu
     sun = np.array(place.sun) + rng.normal(0, 0.06, 3)
     given: dict[str, Any] = {
         **place.light,
-        "road": place.tone * light.road.mean() / np.array(place.cast) ** 0.8,
+        "road": place.tone * light.road / np.array(place.cast) ** 0.55,
         "sun_direction": sun / np.linalg.norm(sun),
     }
     given |= {part: getattr(light, part) * place.cast for part in ("sun", "horizon")}

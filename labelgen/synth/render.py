@@ -28,6 +28,7 @@ __all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
 
 _MIN_DEPTH = 1.0
 _MARGIN = 8
+_SMALL_SHADOW_PX = 60
 _SUNNY = 0.3
 """Light of the sun from which on it leaves glints."""
 _NOTHING = np.zeros((0, 0), dtype=np.uint8)
@@ -214,8 +215,9 @@ class Renderer:
         if window is None:
             return
         x0, y0, x1, y1 = window
-        # Shadows are soft: half the resolution does.
-        half = (max((x1 - x0) // 2, 1), max((y1 - y0) // 2, 1))
+        # Shadows are soft: half the resolution does, save for small ones.
+        part = 1 if min(x1 - x0, y1 - y0) < _SMALL_SHADOW_PX else 2
+        half = (max((x1 - x0) // part, 1), max((y1 - y0) // part, 1))
         to_half = np.array(half) / (x1 - x0, y1 - y0)
         # Far away a pixel spans many cells; the map's columns run along the road, which is upright in the picture.
         few = (min(w, 2 * half[1] + 2), min(h, 2 * half[0] + 2))
