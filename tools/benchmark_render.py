@@ -18,8 +18,12 @@ from typing import Annotated, Any
 import typer
 
 from labelgen.errors import DataError, LabelgenError
+from labelgen.synth.sensor import PLAIN, Sensor
 
 __all__ = ["main", "measure"]
+
+
+_FAULTY = Sensor(lines=0.8, smear=0.004, sharpen=0.8, peaking=0.8)
 
 
 class _Stages:
@@ -44,8 +48,10 @@ class _Stages:
         return run
 
 
-def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, folder: Path) -> dict[str, Any]:
-    """Render `frames` frames that show `vehicles` vehicles each.
+def measure(
+    vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, folder: Path, *, faults: bool = False
+) -> dict[str, Any]:
+    """Render `frames` frames that show `vehicles` vehicles each; with `faults` through a camera that has them all.
 
     Returns:
         fps, ms per frame, ms per frame by stage, and ms once per vehicle for its skin and shadow.
@@ -65,7 +71,9 @@ def measure(vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, fol
     light = make_light(Weather.DAY, rng)
     background, still = draw_scene(scene, light, rng)
     trips = random_traffic(scene, 600.0, seed, per_minute=60)
-    renderer = render.Renderer(scene.camera, background, light, seed=seed, still=still)
+    renderer = render.Renderer(
+        scene.camera, background, light, seed=seed, still=still, sensor=_FAULTY if faults else PLAIN
+    )
     batches = _busy_moments(renderer, trips, scene, vehicles, frames)
     count = len(batches)
     if not count:
@@ -134,6 +142,7 @@ def main(
     size: Annotated[str, typer.Option(help="Frame size.")] = "1920x1080",
     frames: Annotated[int, typer.Option(help="Frames to render.")] = 60,
     seed: Annotated[int, typer.Option(help="Scene and traffic.")] = 0,
+    faults: Annotated[bool, typer.Option("--faults", help="Few lines, smeared colours, halos.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here, too.")] = None,
 ) -> None:
     """Measure rendering on one core."""
@@ -147,7 +156,7 @@ def main(
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(vehicles, parse_size(size), frames, seed, Path(folder))
+        found = measure(vehicles, parse_size(size), frames, seed, Path(folder), faults=faults)
     typer.echo(
         f"{found['fps']:.1f} frames/s ({found['ms_per_frame']:.1f} ms per frame), {size}, {found['vehicles']} vehicles"
     )

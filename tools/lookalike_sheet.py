@@ -20,7 +20,9 @@ __all__ = ["main", "vehicle_crops"]
 
 
 def vehicle_crops(video: Path, count: int, seed: int, min_px: int) -> list[Any]:
-    """Up to `count` crops (h, w, 3) uint8 BGR of moving things whose shorter side has at least `min_px`.
+    """`count` crops (h, w, 3) uint8 BGR of moving things whose shorter side has at least `min_px`.
+
+    Different ones as far as there are any.
 
     Raises:
         DataError: the video cannot be read, or too little moves in it.
@@ -39,6 +41,7 @@ def vehicle_crops(video: Path, count: int, seed: int, min_px: int) -> list[Any]:
         raise DataError(f"{video}: too short; it takes at least 40 frames")
     median = np.median(np.stack(frames[:: max(1, len(frames) // 40)]), axis=0).astype(np.uint8)
     crops: list[Any] = []
+    again: list[Any] = []
     for k in rng.permutation(len(frames)):
         change = cv2.absdiff(frames[k], median).max(axis=2)
         mask = cv2.morphologyEx((change > 30).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
@@ -48,10 +51,22 @@ def vehicle_crops(video: Path, count: int, seed: int, min_px: int) -> list[Any]:
         if fits:
             x, y, w, h, _ = (int(v) for v in fits[int(rng.integers(len(fits)))])
             pad = int(0.12 * max(w, h))
-            crops.append(frames[k][max(0, y - pad) : y + h + pad, max(0, x - pad) : x + w + pad])
+            crop = frames[k][max(0, y - pad) : y + h + pad, max(0, x - pad) : x + w + pad]
+            (again if any(_same(crop, other) for other in crops) else crops).append(crop)
         if len(crops) == count:
             return crops
+    if len(crops) + len(again) >= count:
+        return [*crops, *again][:count]
     raise DataError(f"{video}: only {len(crops)} of {count} vehicles found; lower --min-px")
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two crops may show one vehicle: much the same colours at much the same places."""
+    import cv2
+    import numpy as np
+
+    small = [cv2.resize(c, (8, 8), interpolation=cv2.INTER_AREA).astype(np.float32) for c in (a, b)]
+    return float(np.abs(small[0] - small[1])[1:-1, 1:-1].mean()) < 16
 
 
 def _looks_whole(stats: Any, shape: tuple[int, ...], min_px: int) -> bool:
@@ -75,12 +90,15 @@ def main(
 
     tiles = [(crop, "real") for crop in vehicle_crops(real, count, seed, min_px)]
     tiles += [(crop, "synthetic") for crop in vehicle_crops(synthetic, count, seed, min_px)]
-    order = np.random.default_rng([seed, 9]).permutation(len(tiles))
+    rng = np.random.default_rng([seed, 9])
+    order = rng.permutation(len(tiles))
     side, across = 300, 5
     sheet = np.full((-(-len(tiles) // across) * side, across * side, 3), 40, dtype=np.uint8)
     answer = {}
     for place, k in enumerate(order.tolist()):
         crop, kind = tiles[k]
+        if rng.random() < 0.5:  # roads are not to be known by their markings
+            crop = crop[:, ::-1]
         scale = (side - 10) / max(crop.shape[:2])
         picture = cv2.resize(
             crop, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC

@@ -14,7 +14,8 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front", "draw_rear"]
 
 _SEAM = 0.3
-_REFLECTOR: Colour = (0.42, 0.43, 0.45)
+_REFLECTOR: Colour = (0.50, 0.51, 0.53)
+_BEHIND_GLASS: Colour = (0.045, 0.046, 0.05)
 _GLOW: Colour = (1.0, 0.97, 0.88)
 
 # Head lamps, left half: (share of the front's half-width, metres below the nose).
@@ -39,14 +40,32 @@ def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.rectangle(Chart.FRONT, (-half, 0), (half, bumper_top), TRIM, MATTE)
     # The bumper stands out; below the lamps a shadow line.
     skin.emboss(Chart.FRONT, [(-half, 0), (half, 0), (half, bumper_top), (-half, bumper_top)], 0.02)
+    _bow_end(skin, Chart.FRONT, half, (foot, bumper_top, nose), rng)
     _windscreen(skin, shape, style, rng)
     _grille(skin, shape, style, narrow, bumper_top, rng)
     _head_lamps(skin, shape, style, narrow, lamps)
     _fog_lamps(skin, narrow, foot + style.cladding + 0.06, rng)
     for line in ([(-narrow, nose - 0.04), (narrow, nose - 0.04)], [(-half, bumper_top), (half, bumper_top)]):
-        skin.line(Chart.FRONT, line, dim(paint, _SEAM), PAINT)
+        skin.line(Chart.FRONT, line, dim(paint, _SEAM), PAINT, 0.014)
+        skin.shadow(Chart.FRONT, line, 0.25)
     low = max(foot + 0.10, bumper_top - rng.uniform(0.06, 0.16))
     plate(skin, Chart.FRONT, (0, low), style.plate, rng)
+
+
+def _bow_end(
+    skin: Skin, chart: Chart, half: float, heights: tuple[float, float, float], rng: np.random.Generator
+) -> None:
+    """Round a bumper and the panel above it, both across and from top to bottom. `heights`: their three borders."""
+    foot, middle, top = heights
+    bumper = [(-half, foot), (half, foot), (half, middle), (-half, middle)]
+    skin.bow(chart, bumper, (0.2, rng.uniform(2.4, 4.2)), (0.0, 0.10))
+    skin.bow(
+        chart, [(-half, middle), (half, middle), (half, top), (-half, top)], (0.25, rng.uniform(1.0, 2.4)), (0.0, 0.05)
+    )
+    # The ledge on which the upper panel stands catches the sky, what lies under the bumper sees the road alone.
+    ledge = [(-half, middle - 0.045), (half, middle - 0.045), (half, middle), (-half, middle)]
+    skin.bow(chart, ledge, (0.0, 0.0), (0.0, rng.uniform(0.4, 0.9)))
+    skin.shadow(chart, [(-half, foot - 0.03), (half, foot - 0.03)], 0.75, 0.1)
 
 
 def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator) -> None:
@@ -76,7 +95,7 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         for z in np.arange(low + 0.03, high - 0.01, 0.045).tolist():
             skin.line(Chart.FRONT, [(-half + taper + 0.02, z), (half - taper - 0.02, z)], (0.04, 0.04, 0.04), MATTE)
         if style.chrome:
-            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), CHROME_TONE, CHROME, 0.022)
+            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), CHROME_TONE, CHROME, 0.015)
 
     deep = rng.uniform(0.12, 0.22)
     lower = (foot, min(foot + deep, bumper_top - 0.06))
@@ -99,8 +118,9 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         opening(0.72 * narrow, foot, bumper_top - 0.02, 0.12)
     elif family == 4:  # upright bars
         opening(0.56 * narrow, top - 0.2, top)
-        for y in np.linspace(-0.5, 0.5, 9).tolist():
-            skin.line(Chart.FRONT, [(y * narrow, top - 0.19), (y * narrow, top - 0.01)], CHROME_TONE, CHROME, 0.02)
+        for y in np.linspace(-0.5, 0.5, 12).tolist():
+            bar = [(y * narrow, top - 0.19), (y * narrow, top - 0.01)]
+            skin.line(Chart.FRONT, bar, dim(CHROME_TONE, 0.4), CHROME if style.chrome else MATTE, 0.012)
         opening(0.5 * narrow, *lower)
     elif family == 5:  # closed, a mouth below
         skin.emboss(Chart.FRONT, rounded([(-0.4, top - 0.15), (0.4, top - 0.15), (0.45, top), (-0.45, top)]), -0.012)
@@ -120,23 +140,27 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
         smooth = rounded(ring)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.FRONT, smooth, BLACK, MATTE)
-        skin.polygon(Chart.FRONT, middle + 0.9 * (smooth - middle), (0.085, 0.088, 0.095), LAMP)
-        skin.emboss(Chart.FRONT, smooth, 0.012)
-        for shift, size in ((0.0, 0.062), (0.11, 0.05)):
+        skin.shadow(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), 0.5, 0.04)
+        skin.polygon(Chart.FRONT, middle + 0.86 * (smooth - middle), _BEHIND_GLASS, LAMP)
+        skin.bow(Chart.FRONT, smooth, (1.2, 1.5), (0.0, 0.3))
+        tall = float(np.ptp(smooth[:, 1]))
+        for shift, share in ((-0.04, 0.40), (0.30 * float(np.ptp(smooth[:, 0])), 0.28)):
             spot = (float(middle[0]) - side * shift, float(middle[1]))
+            size = min(share * tall, 0.065)
             skin.circle(Chart.FRONT, spot, size, _REFLECTOR, LAMP)
-            if lamps and shift == 0:
+            skin.circle(Chart.FRONT, spot, 0.45 * size, (0.16, 0.16, 0.17), LAMP)
+            if lamps and shift < 0:
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
         # What of the lamp lies on the wing, seen from above and from the side.
         inner = min(share for share, _ in shapes)
-        ys = (side * inner * narrow, side * 1.08 * narrow)
-        on_top = np.array([(0.02, ys[0]), (0.10, ys[0]), (0.34, ys[1]), (0.02, ys[1])])
-        skin.polygon(Chart.TOP, on_top, (0.10, 0.103, 0.11), LAMP)
+        ys = (side * (0.4 * inner + 0.6) * narrow, side * 1.06 * narrow)
+        on_top = np.array([(0.02, ys[0]), (0.08, ys[0]), (0.24, ys[1]), (0.02, ys[1])])
+        skin.polygon(Chart.TOP, on_top, _BEHIND_GLASS, LAMP)
         centre = on_top.mean(axis=0)
-        skin.polygon(Chart.TOP, centre + 0.5 * (on_top - centre), _REFLECTOR, LAMP)
+        skin.polygon(Chart.TOP, centre + 0.35 * (on_top - centre), dim(_REFLECTOR, 0.6), LAMP)
     down = [d for _, d in shapes]
     z0, z1 = nose + min(down), nose + max(down) + 0.04
-    skin.polygon(Chart.SIDE, [(0, z0), (0, z1), (0.42, z1 + 0.02), (0.26, z0 + 0.03)], (0.22, 0.22, 0.23), LAMP)
+    skin.polygon(Chart.SIDE, [(0, z0), (0, z1), (0.32, z1 + 0.01), (0.2, z0 + 0.04)], (0.12, 0.12, 0.13), LAMP)
 
 
 def _fog_lamps(skin: Skin, narrow: float, z: float, rng: np.random.Generator) -> None:
@@ -168,6 +192,7 @@ _TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, _SEAM)
+    braking = bool(rng.random() < 0.15)
     narrow = half * (1 - 0.6 * shape.corner)
     foot = shape.clearance + 0.10 + style.cladding
     bumper_top = shape.clearance + rng.uniform(0.26, 0.36)
@@ -175,7 +200,10 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if style.dark_bumpers:
         skin.rectangle(Chart.REAR, (-half, 0), (half, bumper_top), TRIM, MATTE)
     skin.emboss(Chart.REAR, [(-half, 0), (half, 0), (half, bumper_top), (-half, bumper_top)], 0.02)
-    skin.line(Chart.REAR, [(-half, bumper_top), (half, bumper_top)], seam, PAINT)
+    skin.line(Chart.REAR, [(-half, bumper_top), (half, bumper_top)], seam, PAINT, 0.018)
+    skin.shadow(Chart.REAR, [(-half, bumper_top + 0.01), (half, bumper_top + 0.01)], 0.45)
+    if shape.kind != "van" and shape.cargo is None:
+        _bow_end(skin, Chart.REAR, half, (foot, bumper_top, shape.tail), rng)
     if rng.random() < 0.6:  # unpainted below the bumper's middle
         top_z = foot + rng.uniform(0.05, 0.12)
         ring = [(-0.75 * narrow, foot), (0.75 * narrow, foot), (0.6 * narrow, top_z), (-0.6 * narrow, top_z)]
@@ -183,20 +211,23 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if shape.kind == "van":
         _rear_doors(skin, shape, style, seam, rng)
     elif shape.cargo is None:
-        _rear_screen(skin, shape, style, rng)
+        _rear_screen(skin, shape, style, braking, rng)
     top, tall = shape.tail - 0.04, rng.uniform(0.12, 0.22)
     if shape.kind == "van":
         top, tall = 1.15, 0.3
-    _tail_lamps(skin, shape, style, narrow, top, tall, rng, lamps)
+    _tail_lamps(skin, shape, style, narrow, top, tall, rng, lamps, braking)
     lid = 0.82 * narrow
     for points in ([(-lid, bumper_top), (-lid, top)], [(lid, bumper_top), (lid, top)]):
-        skin.line(Chart.REAR, points, seam, PAINT)
-        skin.groove(Chart.REAR, points)
+        skin.line(Chart.REAR, points, dim(paint, 0.55), PAINT)
+        skin.groove(Chart.REAR, points, 0.004)
     crease = top - tall * rng.uniform(0.2, 1.0)
     skin.emboss(Chart.REAR, [(-lid, crease), (lid, crease), (lid, top + 0.3), (-lid, top + 0.3)], 0.012, soft=True)
     if rng.random() < 0.35:
         skin.rectangle(Chart.REAR, (-0.3, top - tall - 0.01), (0.3, top - tall + 0.015), CHROME_TONE, CHROME)
-    skin.circle(Chart.REAR, (0, top - 0.06), 0.04, CHROME_TONE, CHROME)
+    skin.circle(Chart.REAR, (0, top - 0.06), rng.uniform(0.025, 0.04), BLACK, PAINT)
+    skin.circle(Chart.REAR, (0, top - 0.06), 0.024, CHROME_TONE, CHROME)
+    if rng.random() < 0.7:
+        _model_names(skin, narrow, top, tall, rng)
     high = max(bumper_top + 0.08, top - tall - 0.05)
     plate(skin, Chart.REAR, (0, high if style.plate_high else max(foot + 0.04, bumper_top - 0.1)), style.plate, rng)
     for side in (-1, 1):
@@ -204,6 +235,16 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         skin.rectangle(Chart.REAR, low, (side * 0.95 * narrow, foot + 0.075), (0.25, 0.01, 0.01), LAMP)
     if rng.random() < 0.5:
         skin.circle(Chart.REAR, (0.6 * narrow, shape.clearance + 0.05), 0.035, (0.15, 0.15, 0.15), CHROME)
+
+
+def _model_names(skin: Skin, narrow: float, top: float, tall: float, rng: np.random.Generator) -> None:
+    """Letters of chrome on the lid, beside the badge."""
+    z = top - rng.uniform(0.1, 0.9) * tall
+    for side in (-1, 1) if rng.random() < 0.6 else (int(rng.choice([-1, 1])),):
+        start, count = rng.uniform(0.22, 0.4) * narrow, int(rng.integers(2, 7))
+        for k in range(count):
+            y = side * (start + 0.034 * k)
+            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), CHROME_TONE, LAMP)
 
 
 def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:
@@ -220,7 +261,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
     skin.rectangle(Chart.REAR, (0.04, 1.0), (0.16, 1.06), TRIM, MATTE)
 
 
-def _rear_screen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator) -> None:
+def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.random.Generator) -> None:
     half = shape.width / 2
     low, high = shape.rear_window, shape.roof_rear
     y0, y1 = cabin_edge(shape, half, low[1]) - 0.10, cabin_edge(shape, half, high[1]) - 0.12
@@ -230,33 +271,31 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generato
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low[1] + 0.04), (0.35, low[1] + 0.12)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
-    skin.rectangle(Chart.REAR, (-0.12, high[1] - 0.05), (0.12, high[1] - 0.03), (0.25, 0.01, 0.01), GLASS)
+    third: tuple[Colour, int] = ((1.0, 0.12, 0.10), LIT) if braking else ((0.12, 0.008, 0.008), GLASS)
+    skin.rectangle(Chart.REAR, (-0.14, high[1] - 0.075), (0.14, high[1] - 0.04), *third)
 
 
 def _tail_lamps(
-    skin: Skin,
-    shape: Shape,
-    style: Style,
-    narrow: float,
-    top: float,
-    tall: float,
-    rng: np.random.Generator,
-    lamps: bool,
-) -> None:
+    skin: Skin, shape: Shape, style: Style, narrow: float, top: float, tall: float, rng: np.random.Generator,
+    lamps: bool, braking: bool,
+) -> None:  # fmt: skip
     family = _TAIL_LAMPS[style.rear_lamp]
-    braking = rng.random() < 0.15
-    bright = rng.uniform(0.8, 1.5)
-    red: Colour = (0.45, 0.012, 0.012) if lamps else (0.40 * bright, 0.012, 0.012)
+    bright = rng.uniform(0.6, 1.4)
+    red: Colour = (0.45, 0.014, 0.016) if lamps else (0.17 * bright, 0.010, 0.014)
     if braking:
-        red = (0.8, 0.05, 0.04)
-    clear: Colour = (0.45, 0.42, 0.40)
+        red = (0.55, 0.03, 0.035)
+    clear: Colour = (0.36, 0.34, 0.33)
     for side in (-1, 1):
         ring = mirrored([(share * narrow, top - down * tall) for share, down in family], side)
         smooth = rounded(ring, 0.06)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.REAR, smooth, dim(red, 0.25), LAMP)
         skin.polygon(Chart.REAR, middle + 0.88 * (smooth - middle), red, LIT if lamps or braking else LAMP)
-        skin.emboss(Chart.REAR, smooth, 0.014)
+        # A lamp is a bowl behind bowed glass: brighter in its middle, with a dark gap around.
+        skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.55, 0.035)
+        core: tuple[Colour, int] = ((1.0, 0.22, 0.20), LIT) if braking else (dim(red, 1.6), LIT if lamps else LAMP)
+        skin.polygon(Chart.REAR, middle + 0.4 * (smooth - middle), *core)
+        skin.bow(Chart.REAR, smooth, (1.5, 2.0), (0.0, 0.2))
         low = (side * 0.86 * narrow, top - 0.72 * tall)
         if style.rear_lamp in (0, 3, 4):
             skin.rectangle(Chart.REAR, low, (side * 1.02 * narrow, low[1] + 0.25 * tall), clear, LAMP)

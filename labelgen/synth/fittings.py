@@ -72,14 +72,14 @@ def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
     private = clear if rng.random() < 0.55 else 0.006
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
-        rails = int(rng.choice(3, p=[0.3, 0.35, 0.35]))
+        rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
     return Style(
         grille=int(rng.integers(7)),
         lamp=int(rng.integers(6)),
         rear_lamp=int(rng.integers(6)),
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.12)),
-        chrome=bool(rng.random() < 0.35),
+        chrome=bool(rng.random() < 0.25),
         glass=(clear, clear * 1.15, clear * 1.15),
         rear_glass=(private, private * 1.1, private * 1.1),
         dark_roof=bool(rng.random() < 0.08),
@@ -90,8 +90,8 @@ def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
 
 
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.58, 0.58, 0.56), BLACK, True), ((0.60, 0.44, 0.04), BLACK, True), ((0.03, 0.08, 0.36), (0.6, 0.6, 0.6), False),
-    ((0.55, 0.55, 0.53), (0.05, 0.08, 0.25), False),
+    ((0.68, 0.68, 0.66), BLACK, True), ((0.52, 0.36, 0.04), BLACK, True), ((0.05, 0.15, 0.36), (0.6, 0.6, 0.6), False),
+    ((0.66, 0.66, 0.63), (0.05, 0.08, 0.25), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 
@@ -101,25 +101,37 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     y, z = centre
     ground, ink, strip = _PLATES[family]
     half, tall = (0.26, 0.055) if family < 2 else (0.21, 0.07)
+    recess = [(y - half, z + tall), (y + half, z + tall), (y + half, z - tall), (y - half, z - tall)]
+    skin.flatten(chart, recess)
+    skin.shadow(chart, [*recess, recess[0]], 0.3, 0.05)
     skin.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), BLACK, MATTE)
     skin.rectangle(chart, (y - half, z - tall), (y + half, z + tall), ground, PLATE)
     if strip:
         skin.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.01, 0.03, 0.30), PLATE)
     for k in range(7):
-        if k != 3:
-            left = y + half * (-0.73 + 0.24 * k)
-            long = 0.026 * rng.uniform(0.6, 1.2)
-            skin.rectangle(chart, (left, z - 0.62 * tall), (left + long, z + 0.62 * tall), ink, PLATE)
+        if k == 3:
+            continue
+        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.62 * tall
+        for _ in range(int(rng.integers(2, 5))):  # strokes
+            if rng.random() < 0.5:
+                at = left + rng.uniform(0, wide - 0.012)
+                skin.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)
+            else:
+                at = z + rng.uniform(-high, high - 0.012)
+                skin.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
 
 
 def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
     """A bonded window with rounded corners and a black rim; returns the outline of its glass."""
     ring = np.asarray(corners, dtype=np.float64)
-    smooth, middle = rounded(ring, 0.07), ring.mean(axis=0)
+    smooth, middle = rounded(ring, 0.11), ring.mean(axis=0)
     skin.polygon(chart, smooth, BLACK, GLASS)
     inner = middle + rim * (smooth - middle)
     skin.polygon(chart, inner, glass, GLASS)
     skin.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.003, 0.02)
+    skin.shadow(chart, np.concatenate([smooth, smooth[:1]]), 0.35, 0.04)
+    # Glass is bowed across: its middle mirrors the sky, its sides what stands beside the road.
+    skin.bow(chart, smooth, (0.2, 0.42) if chart is Chart.TOP else (0.42, 0.45))
     return np.asarray(inner)
 
 
@@ -147,24 +159,29 @@ def passengers(
         skin.polygon(chart, points, colour, GLASS)
 
     long = high - low
-    tone = rng.uniform(0.012, 0.08)
+    tone = rng.uniform(0.012, 0.09)
     shelf = low + rng.uniform(0.16, 0.3) * long
     corners = [(low, -half), (shelf, -half * 0.95), (shelf, half * 0.95), (low, half)]
     if chart is not Chart.TOP:
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
+    for _ in range(int(rng.integers(10, 26))):  # what else lies, hangs and gleams in there, and what the glass mirrors
+        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.03 if rear else 0.10))))
+        place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
+        oval(*place, rng.uniform(0.015, 0.14), rng.uniform(0.012, 0.06) * long, (grey * 0.95, grey * 1.05, grey))
     for side in (-0.5, 0.5):
-        seat = rng.uniform(0.01, 0.06)
-        oval(side * half, high - 0.22 * long, 0.20, 0.13 * long, (seat, seat, seat))
-        if not rear and (side < 0 or rng.random() < 0.4):
-            r, g, b = (rng.uniform(0.01, 0.12) * rng.normal(1, 0.2, 3).clip(0.5, 1.5)).tolist()
-            oval(side * half, low + 0.50 * long, 0.20, 0.17 * long, (r, g, b))
-            oval(side * half, low + 0.75 * long, 0.085, 0.09 * long, (0.10, 0.065, 0.05))
+        seat = rng.uniform(0.008, 0.04)
+        oval(side * half, high - 0.22 * long, 0.14, 0.10 * long, (seat, seat, seat))
+        if not rear and (side < 0 or rng.random() < 0.3):
+            r, g, b = (rng.uniform(0.008, 0.05) * rng.normal(1, 0.15, 3).clip(0.5, 1.5)).tolist()
+            oval(side * half, low + 0.50 * long, 0.17, 0.15 * long, (r, g, b))
+            face = rng.uniform(0.3, 1.0)
+            oval(side * half, low + 0.75 * long, 0.075, 0.08 * long, (0.06 * face, 0.04 * face, 0.032 * face))
     if not rear:  # the wheel, the mirror, a paper at the screen's edge
         oval(-0.5 * half, low + 0.27 * long, 0.17, 0.05 * long, (0.012, 0.012, 0.012))
         oval(0.0, low + 0.88 * long, 0.12, 0.05 * long, (0.015, 0.015, 0.016))
         if rng.random() < 0.5:
-            oval(rng.uniform(-0.7, 0.7) * half, low + 0.12 * long, 0.07, 0.05 * long, (0.3, 0.3, 0.28))
+            oval(rng.uniform(-0.7, 0.7) * half, low + 0.12 * long, 0.05, 0.04 * long, (0.22, 0.22, 0.2))
 
 
 def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:

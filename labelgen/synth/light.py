@@ -137,8 +137,8 @@ _RECIPES: dict[Weather, dict[str, Any]] = {
         "exposure": 1.2, "noise": 1.5, "shutter": 1 / 800,
     },
     Weather.OVERCAST: {
-        "height": (40, 70), "sun": (0.03, 0.03, 0.03), "low": (0.62, 0.64, 0.67),
-        "high": (0.60, 0.63, 0.67), "horizon": (0.09, 0.095, 0.085), "road": (0.15, 0.15, 0.148),
+        "height": (40, 70), "sun": (0.03, 0.03, 0.03), "low": (0.40, 0.41, 0.43),
+        "high": (0.72, 0.75, 0.80), "horizon": (0.09, 0.095, 0.085), "road": (0.15, 0.15, 0.148),
         "exposure": 1.55, "noise": 1.7, "shutter": 1 / 400,
     },
     Weather.DUSK: {
@@ -147,8 +147,8 @@ _RECIPES: dict[Weather, dict[str, Any]] = {
         "exposure": 3.6, "noise": 3.4, "shutter": 1 / 120,
     },
     Weather.RAIN: {
-        "height": (40, 70), "sun": (0.0, 0.0, 0.0), "low": (0.40, 0.42, 0.45),
-        "high": (0.36, 0.38, 0.42), "horizon": (0.06, 0.065, 0.06), "road": (0.055, 0.056, 0.058),
+        "height": (40, 70), "sun": (0.0, 0.0, 0.0), "low": (0.27, 0.28, 0.30),
+        "high": (0.43, 0.455, 0.50), "horizon": (0.06, 0.065, 0.06), "road": (0.055, 0.056, 0.058),
         "exposure": 2.0, "noise": 2.3, "shutter": 1 / 250,
     },
 }  # fmt: skip
@@ -190,17 +190,19 @@ def varied_light(light: Light, rng: np.random.Generator) -> Light:
     hazy = rng.random() < 0.22
     cast = rng.normal(1, 0.035 if rng.random() < 0.3 else 0.012, 3)
     flat = not hazy and rng.random() < 0.2
+    # Deep shadows where the sun shines through clear air.
+    clear = rng.uniform(0.5, 1.05) if light.sun.max() > 0.3 and not hazy else 1.0
     return replace(
         light,
         road=road,
         sun=light.sun * cast * rng.uniform(0.8, 1.25),
-        sky_low=light.sky_low * cast,
-        sky_high=light.sky_high * cast,
+        sky_low=light.sky_low * cast * clear,
+        sky_high=light.sky_high * cast * clear,
         horizon=light.horizon * cast,
         exposure=light.exposure * (before / after) ** 0.5 * rng.uniform(0.85, 1.25),
         noise=light.noise * rng.uniform(0.5, 1.8),
         haze_per_m=rng.uniform(0.002, 0.010) if hazy else rng.uniform(0, 0.0015),
-        saturation=rng.uniform(0.0, 0.6) if rng.random() < 0.17 else rng.uniform(0.8, 1.4),
+        saturation=rng.uniform(0.0, 0.6) if rng.random() < 0.17 else rng.uniform(0.85, 1.6),
         contrast=rng.uniform(0.6, 0.85) if flat else rng.uniform(1.0, 1.4),
         lift=rng.uniform(0.02, 0.15) if flat else 0.0,
     )
@@ -230,12 +232,15 @@ def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     with np.errstate(divide="ignore"):
         flat_x, flat_y = x / np.maximum(z, 0.08), y / np.maximum(z, 0.08)
     puffs = np.zeros_like(z)
-    for scale in (0.9, 1.9, 4.1):
+    for scale in (0.9, 1.9, 4.1, 8.7):
         a, b, c = rng.uniform(0, 2 * np.pi, 3)
         puffs += np.sin(scale * flat_x + a + np.sin(scale * flat_y + b)) * np.cos(scale * flat_y + c) / scale**0.5
-    cloud = np.clip(puffs - rng.uniform(-0.4, 0.9), 0, 1)[..., None]
-    white = 0.45 * (light.sun + light.ambient) if light.sun.max() > 0.3 else 0.75 * light.sky_low
+    cloud = np.clip(2.2 * (puffs - rng.uniform(-0.3, 1.1)), 0, 1)[..., None]
+    white = 0.45 * (light.sun + light.ambient) if light.sun.max() > 0.3 else 0.62 * light.sky_high
     out = out + (white - out) * cloud * 0.8
+    if light.sun.max() > 0.3:  # air is bright around the sun
+        off = 1 - (x * light.sun_direction[0] + y * light.sun_direction[1] + z * light.sun_direction[2])[..., None]
+        out = out + light.sun * (0.55 * np.exp(-off / 0.02) + 0.14 * np.exp(-off / 0.15))
     # Woods and houses, lower where the road runs.
     skyline = (0.14 + 0.12 * _waves(azimuth, rng, 7)) * (0.25 + 0.75 * np.abs(np.sin(azimuth)))
     dark = light.horizon * (1 + 0.5 * _waves(azimuth * 3, rng, 5))[..., None]

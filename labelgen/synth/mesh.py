@@ -93,7 +93,7 @@ def _charts_by_normal(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArra
     return np.where(down, np.uint8(Chart.DARK), charts)
 
 
-def loft(x: Sequence[float] | NDArray[Any], sections: NDArray[Any], *, crease: float = 38.0) -> Mesh:
+def loft(x: Sequence[float] | NDArray[Any], sections: NDArray[Any], *, crease: float = 50.0) -> Mesh:
     """Shell through cross-sections, closed at both ends and mirrored to the other side.
 
     Args:

@@ -61,6 +61,8 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         Chart.SIDE, [(0.9, 0), (end - 0.9, 0), (end - 0.9, low_crease + 0.06), (0.9, low_crease)], 0.012, soft=True
     )
     skin.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
+    skin.bow(Chart.SIDE, [(0, 0), (end, 0), (end, shape.belt), (0, shape.belt)], (0.03, 0.5))
+    skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.6, 0.12)
     sill = shape.clearance + 0.05 + style.cladding
     skin.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
     if style.dark_bumpers:
@@ -76,6 +78,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         if style.cladding > 0.1:
             skin.polygon(Chart.SIDE, _disc((axle, shape.wheel), arch * 1.18), TRIM, MATTE)
         skin.emboss(Chart.SIDE, ring, 0.014)
+        skin.shadow(Chart.SIDE, _disc((axle, shape.wheel), arch), 0.6, 0.06)
         skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.005, 0.005, 0.005), MATTE)
     for line in ([(0.52, shape.clearance + 0.1), (0.48, shape.nose - 0.26)], [(end - 0.42, sill), (end - 0.38, waist)]):
         skin.line(Chart.SIDE, line, dim(paint, _SEAM), PAINT)
@@ -136,9 +139,10 @@ def _doors(
     for k, p in enumerate(gaps):
         bend = -0.12 if k == len(gaps) - 1 and shape.kind != "van" else 0.0
         line = [(p, sill), (p, sill - 0.35), (p + bend, foot)]
-        skin.line(Chart.SIDE, line, seam, PAINT)
+        skin.line(Chart.SIDE, line, seam, PAINT, 0.016)
         skin.groove(Chart.SIDE, line)
-    skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT)
+        skin.shadow(Chart.SIDE, line, 0.3, 0.04)
+    skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT, 0.016)
     skin.groove(Chart.SIDE, [(low, foot), (high, foot)])
     chrome = rng.random() < 0.2
     for p in [*pillars[:2], high - 0.1]:
@@ -164,6 +168,10 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     edge = cabin_edge(shape, half, shape.height) - 0.12
     if style.dark_roof:
         skin.rectangle(Chart.TOP, (shape.roof_front[0] - 0.05, -half), (shape.roof_rear[0] + 0.05, half), BLACK, PAINT)
+    # A roof is bowed across and a little along.
+    crown = [(roof[0], -edge), (roof[1], -edge), (roof[1], edge), (roof[0], edge)]
+    if shape.kind not in ("van", "bus") and shape.cargo is None:
+        skin.bow(Chart.TOP, crown, (0.05, rng.uniform(0.22, 0.4)))
     _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
     passengers(skin, Chart.TOP, (shape.cowl[0] + 0.08, shape.roof_front[0] - 0.08), 0.62 * half, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
@@ -176,13 +184,14 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if style.rails:
         rail = (BLACK, MATTE) if style.rails == 1 else (CHROME_TONE, CHROME)
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.045)
+            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
     elif shape.kind != "bus" and shape.cargo is None:
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.4), PAINT, 0.02)
+            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.6), PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
     if sunroof < 0.13 and shape.kind not in ("van", "bus") and shape.cargo is None:
         long = 0.75 if sunroof < 0.08 else roof[1] - roof[0] - 0.3
+        long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
         skin.polygon(Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.008, 0.009, 0.009), GLASS)
     if shape.kind == "van":
@@ -205,8 +214,12 @@ def _top_pane(
     edge = [cabin_edge(shape, half, z) - 0.05 for _, z in (near, far)]
     d0, d1 = near[0] + gap * (far[0] - near[0]), far[0] - 0.06 * (far[0] - near[0])
     y0, y1 = edge[0] - 0.02, edge[1] - 0.04
-    bow = 0.05 * np.sign(d0 - d1)
-    pane(skin, Chart.TOP, [(d0 + bow, 0), (d0, y0), (d1, y1), (d1 + bow, 0), (d1, -y1), (d0, -y0)], glass)
+    # Seen from above both edges are bows, the lower one more than that at the roof.
+    across = np.linspace(1, -1, 5)
+    out = np.sign(d0 - d1) * (1 - across**2)
+    lower = np.stack([d0 + 0.08 * out, y0 * across], axis=1)
+    upper = np.stack([d1 + 0.025 * out, y1 * across], axis=1)[::-1]
+    pane(skin, Chart.TOP, np.concatenate([lower, upper]), glass)
 
 
 def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:
@@ -216,12 +229,15 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         gap = [(0.16, side * 0.9 * y), (0.32, side * y), (back, side * (y + 0.09))]
         skin.line(Chart.TOP, gap, seam, PAINT)
         skin.groove(Chart.TOP, gap)
+        skin.shadow(Chart.TOP, gap, 0.15, 0.04)
         inner = rng.uniform(0.3, 0.6) * half
         crease = [(0.2, side * 0.7 * inner), (back, side * inner)]
         skin.groove(Chart.TOP, crease, -0.006, 0.03)
         wiper = [(back + 0.05, side * 0.1), (back + 0.10, side * 0.1 + 0.45)]
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     skin.line(Chart.TOP, [(0.16, -0.9 * y), (0.13, 0), (0.16, 0.9 * y)], seam, PAINT)
+    sheet = [(0.1, -0.9 * half), (back, -0.9 * half), (back, 0.9 * half), (0.1, 0.9 * half)]
+    skin.bow(Chart.TOP, sheet, (0.25, rng.uniform(0.25, 0.5)))
     hump = [(0.1, -0.35 * half), (back, -0.5 * half), (back, 0.5 * half), (0.1, 0.35 * half)]
     skin.emboss(Chart.TOP, hump, 0.016, soft=True)
     skin.rectangle(Chart.TOP, (shape.cowl[0] - 0.05, -0.8 * half), (shape.cowl[0] + 0.03, 0.8 * half), BLACK, MATTE)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
+from labelgen.synth.glints import Stars
 from labelgen.synth.light import Light
 from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
 from labelgen.synth.sensor import PLAIN, Sensor
@@ -27,6 +28,9 @@ __all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
 
 _MIN_DEPTH = 1.0
 _MARGIN = 8
+_SMALL_SHADOW_PX = 60
+_SUNNY = 0.3
+"""Light of the sun from which on it leaves glints."""
 _NOTHING = np.zeros((0, 0), dtype=np.uint8)
 
 
@@ -128,7 +132,7 @@ class Renderer:
     """
 
     def __init__(
-        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int, softness: float = 0.6,
+        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int, softness: float = 0.5,
         still: Still | None = None, sensor: Sensor = PLAIN,
     ) -> None:  # fmt: skip
         self.sensor = sensor
@@ -141,6 +145,8 @@ class Renderer:
         height, width = background.shape[:2]
         self.size_wh = (width, height)
         self._noise = self._noise_tile()
+        arms = sensor.arms * width if light.sun.max() > _SUNNY else 0.0
+        self._stars = Stars(arms, np.random.default_rng([seed, 78]))
 
     def _noise_tile(self) -> NDArray[np.uint8]:
         """A tile of noise around 128, larger than the frame so that every frame takes another part of it."""
@@ -209,14 +215,19 @@ class Renderer:
         if window is None:
             return
         x0, y0, x1, y1 = window
-        # Shadows are soft: half the resolution does.
-        half = (max((x1 - x0) // 2, 1), max((y1 - y0) // 2, 1))
+        # Shadows are soft: half the resolution does, save for small ones.
+        part = 1 if min(x1 - x0, y1 - y0) < _SMALL_SHADOW_PX else 2
+        half = (max((x1 - x0) // part, 1), max((y1 - y0) // part, 1))
         to_half = np.array(half) / (x1 - x0, y1 - y0)
+        # Far away a pixel spans many cells; the map's columns run along the road, which is upright in the picture.
+        few = (min(w, 2 * half[1] + 2), min(h, 2 * half[0] + 2))
+        shrunk = shadow.left if few == (w, h) else cv2.resize(shadow.left, few, interpolation=cv2.INTER_AREA)
+        corners_few = (corners_map[:, :2] + 0.5) * np.array(few) / (w, h) - 0.5
         matrix = cv2.getPerspectiveTransform(
-            corners_map[:, :2].astype(np.float32), ((pixels - [x0, y0]) * to_half - 0.5).astype(np.float32)
+            corners_few.astype(np.float32), ((pixels - [x0, y0]) * to_half - 0.5).astype(np.float32)
         )
         left = cv2.warpPerspective(
-            shadow.left, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
+            shrunk, matrix, half, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255
         )
         clear = self._clear(placed)
         if clear < 0.97:  # air fills shadows up
@@ -269,7 +280,7 @@ class Renderer:
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
-        ss = 3 if max(size) < 120 else 2 if max(size) < 500 else 1
+        ss = 3 if max(size) < 110 else 2 if max(size) < 500 else 1
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
@@ -279,7 +290,9 @@ class Renderer:
             self.light.curve, origin, ss,
         )  # fmt: skip
         layer = self._soften(layer, placed)
-        lay_over(image[y0:y1, x0:x1], layer, _NOTHING if hidden is None else hidden)
+        before = _NOTHING if hidden is None else hidden
+        lay_over(image[y0:y1, x0:x1], layer, before)
+        self._stars.add(image, layer, (x0, y0), before)
 
     def _soften(self, layer: Any, placed: Placed) -> Any:
         """Lens blur, and motion blur along the vehicle's path in the image."""

@@ -17,6 +17,7 @@ __all__ = ["Lane", "Scene", "carriageways", "look_at_road", "procedural_scene", 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
 _LEAST_SEEN_M = 32.0
+_TRAFFIC_TO_M = 170.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +140,7 @@ def _line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]
 
 def procedural_scene(
     rng: np.random.Generator, size_wh: tuple[int, int], *, heading: int | None = None, name: str = "synthetic",
-    both_ways: bool = False, depth_m: float = 60.0,
+    both_ways: bool = False, depth_m: float = 60.0, seen_from: tuple[Camera, float] | None = None,
 ) -> Scene:  # fmt: skip
     """A made-up road with one to four lanes, most with a second carriageway, without a picture.
 
@@ -150,11 +151,13 @@ def procedural_scene(
         name: of the session and its camera.
         both_ways: always have a second carriageway; otherwise most scenes do.
         depth_m: length of the measured road at most.
+        seen_from: the camera, and how many metres left of it the middle of the measured carriageway lies; made up when
+            None.
     """
     lanes_here = int(rng.choice([1, 2, 3, 4], p=[0.08, 0.37, 0.4, 0.15]))
     heading = int(rng.choice([-1, 1], p=[0.6, 0.4])) if heading is None else heading
-    camera, middle = _made_up_camera(rng, size_wh, name)
-    while _seen_length(camera, middle) < _LEAST_SEEN_M:
+    camera, middle = seen_from or _made_up_camera(rng, size_wh, name)
+    while seen_from is None and _seen_length(camera, middle) < _LEAST_SEEN_M:
         camera, middle = _made_up_camera(rng, size_wh, name)
     distance = float(camera.road_points(camera.pp)[0])
 
@@ -180,7 +183,7 @@ def procedural_scene(
     across = [_line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
     along = [_line_through(camera, (near, y), (far, y)) for y in edges]
     mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
-    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, FARTHEST_M))
+    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
 
 
 def _seen_length(camera: Camera, y: float) -> float:

@@ -51,6 +51,7 @@ class Sensor:
         crf: quality of the H.264 stream; higher is worse.
         captions: text in the picture.
         start_s: time of day at the first frame.
+        arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
     """
 
     lines: float = 1.0
@@ -60,28 +61,37 @@ class Sensor:
     crf: int = 21
     captions: tuple[Caption, ...] = ()
     start_s: float = 0.0
+    arms: float = 0.006
 
     def before_noise(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it."""
+        """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it.
+
+        Brightness alone is sharpened; a camera without faults gives the frame back as it is.
+        """
+        if self.lines >= 1 and not (self.smear or self.sharpen or self.peaking):
+            return image
         size = (image.shape[1], image.shape[0])
+        # Even, as brightness and the halved planes of colour need it.
+        few = (_even(size[0] * self.lines), _even(size[1] * self.lines))
         out: Any = image
-        if self.lines < 1:
-            few = (max(4, round(size[0] * self.lines)), max(4, round(size[1] * self.lines)))
+        if few != size:
             # Between half and all lines, linear interpolation averages enough and takes a third of the time.
             out = cv2.resize(out, few, interpolation=cv2.INTER_AREA if self.lines < 0.5 else cv2.INTER_LINEAR)
+        planes = cv2.cvtColor(out, cv2.COLOR_BGR2YUV_I420)
         if self.smear:
             # Colour at fewer columns, as analogue video carries it.
-            planes = list(cv2.split(cv2.cvtColor(out, cv2.COLOR_BGR2YCrCb)))
-            whole = (out.shape[1], out.shape[0])
-            narrow = (max(2, round(1 / (2 * self.smear))), max(2, whole[1] // 2))
-            for k in (1, 2):
-                planes[k] = cv2.resize(cv2.resize(planes[k], narrow, interpolation=cv2.INTER_AREA), whole)
-            out = cv2.cvtColor(cv2.merge(planes), cv2.COLOR_YCrCb2BGR)
+            colours = planes[few[1] :].reshape(2, few[1] // 2, few[0] // 2)
+            narrow = (max(2, round(1 / (2 * self.smear))), few[1] // 2)
+            for plane in colours:
+                plane[:] = cv2.resize(cv2.resize(plane, narrow, interpolation=cv2.INTER_AREA), plane.shape[::-1])
+        bright = planes[: few[1]]
         if self.sharpen:
-            out = cv2.addWeighted(out, 1 + self.sharpen, cv2.GaussianBlur(out, (5, 5), 0.9), -self.sharpen, 0)
+            soft = cv2.GaussianBlur(bright, (5, 5), 0.9)
+            cv2.addWeighted(bright, 1 + self.sharpen, soft, -self.sharpen, 0, dst=bright)
         if self.peaking:
-            out = cv2.addWeighted(out, 1 + self.peaking, cv2.blur(out, (3, 1)), -self.peaking, 0)
-        if self.lines < 1:
+            cv2.addWeighted(bright, 1 + self.peaking, cv2.blur(bright, (3, 1)), -self.peaking, 0, dst=bright)
+        out = cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420)
+        if few != size:
             out = cv2.resize(out, size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(out, dtype=np.uint8)
 
@@ -104,6 +114,10 @@ class Sensor:
             cv2.putText(image, text, (x, y), caption.font, scale, (245, 245, 245), 1, cv2.LINE_AA)
 
 
+def _even(value: float) -> int:
+    return max(4, 2 * round(value / 2))
+
+
 PLAIN = Sensor()
 """A camera without faults."""
 
@@ -113,14 +127,16 @@ def make_sensor(rng: np.random.Generator) -> Sensor:
     style = rng.random()
     captions = _captions(rng) if rng.random() < 0.5 else ()
     start = rng.uniform(6, 20) * 3600
-    if style < 0.5:
-        return Sensor(crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
+    arms = rng.uniform(0.003, 0.013) if rng.random() < 0.6 else 0.0
+    if style < 0.35:
+        sharp = rng.uniform(0.0, 0.6) if rng.random() < 0.6 else 0.0
+        return Sensor(sharpen=sharp, arms=arms, crf=int(rng.integers(18, 25)), captions=captions, start_s=start)
     if style < 0.8:
-        sharp = rng.uniform(0.3, 1.3)
-        return Sensor(rng.uniform(0.6, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start)
-    coarse, smear = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
-    sharp, peaking = rng.uniform(0.0, 1.2), rng.uniform(0.3, 2.0)
-    return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start)
+        sharp = rng.uniform(0.4, 1.6)
+        return Sensor(rng.uniform(0.7, 1.0), 0.0, sharp, 0.0, int(rng.integers(20, 30)), captions, start, arms)
+    coarse, smear = min(1.0, rng.uniform(0.3, 1.1)), rng.uniform(0.002, 0.008)
+    sharp, peaking = rng.uniform(0.0, 2.4), rng.uniform(0.3, 1.6)
+    return Sensor(coarse, smear, sharp, peaking, int(rng.integers(20, 32)), captions, start, arms)
 
 
 def _captions(rng: np.random.Generator) -> tuple[Caption, ...]:

@@ -88,7 +88,7 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
             left += weight * (255 - cast(np.array([s * np.cos(angle), s * np.sin(angle), c]))).astype(np.float32)
             total += weight
     left *= (1 - sun_share) / (255 * total)
-    left = cv2.GaussianBlur(left, (0, 0), 0.12 / _CELL)
+    left = cv2.GaussianBlur(left, (0, 0), 0.07 / _CELL)
     if sun_share > 0.02:
         direction = np.array([sun[0], sun[1], max(sun[2], 0.15)])
         lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.03 / _CELL)

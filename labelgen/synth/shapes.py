@@ -89,7 +89,7 @@ BODY_TYPES: dict[str, Shape] = {
               1.80, 0.06, 0.06, (1.40, 4.70, 11.9, 13.2), 0.50, 1, _TRUCK, 0.01, cargo=(2.60, 1.10, 3.95)),
         # Of a motorcycle only size, axles and wheels count; `motorcycle` makes the rest.
         Shape("motorcycle", 2.15, 0.76, 1.66, 0.15, 0.80, (0.5, 0.9), (0.8, 1.5), (1.2, 1.5), (1.6, 0.9), 0.8,
-              0.8, 0.0, 0.0, (0.32, 1.80), 0.32, 1, _CYCLE, 0.02),
+              0.8, 0.0, 0.0, (0.32, 1.80), 0.32, 1, _CYCLE, 0.05),
     )
 }  # fmt: skip
 

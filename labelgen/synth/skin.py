@@ -21,7 +21,7 @@ __all__ = ["Colour", "Skin", "dim", "rounded"]
 _PPM, _PPM_LONG = 96, 56
 """Skin pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
 _LONG_M = 6.5
-_FINE_PX, _SOFT_PX = 1.2, 6.0
+_FINE_PX, _SOFT_PX, _SOFT_SHADOW_PX = 1.2, 6.0, 5
 
 Colour = tuple[float, float, float]
 
@@ -41,6 +41,8 @@ class Skin:
         tops = np.cumsum([0] + [int(np.ceil(r * self.ppm)) + 2 for r in rows])
         self._colours = np.zeros((tops[-1], wide, 4), dtype=np.uint8)
         self._relief = [np.zeros((tops[-1], wide), dtype=np.float32) for _ in range(2)]
+        self._bows = np.zeros((2, tops[-1], wide), dtype=np.float32)
+        self._dark = np.zeros((tops[-1], wide), dtype=np.uint8)
         self.maps = np.zeros((len(Chart), 2, 4))
         self._tops, self._height, self._width = tops, height, width
         self._levels: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = []
@@ -105,6 +107,46 @@ class Skin:
         thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, -depth, thick, cv2.LINE_8, 4)
 
+    def bow(self, chart: Chart, points: Any, bend: Sequence[float], lean: Sequence[float] = (0.0, 0.0)) -> None:
+        """Curve a panel within a polygon, as its normals show it; the mesh stays as it is.
+
+        Args:
+            chart: drawing.
+            points: as for `polygon`.
+            bend: 1 / metre, how fast it falls away from the polygon's middle along the drawing's columns and rows.
+            lean: metre per metre, by how much it rises along them in its middle.
+        """
+        rows = self._rows(chart)
+        ring = self._pixels(chart, points)
+        mask = np.zeros(self._dark[rows].shape, dtype=np.uint8)
+        cv2.fillPoly(mask, [ring], 255, cv2.LINE_8, 4)
+        x, y, w, h = cv2.boundingRect(mask)
+        inside = mask[y : y + h, x : x + w] > 0
+        across = (np.arange(w) - w / 2) / self.ppm
+        down = (np.arange(h) - h / 2) / self.ppm
+        view = self._bows[:, rows][:, y : y + h, x : x + w]
+        view[0] += np.where(inside, lean[0] - bend[0] * across[None], 0)
+        view[1] += np.where(inside, lean[1] - bend[1] * down[:, None], 0)
+
+    def flatten(self, chart: Chart, points: Any) -> None:
+        """Take out within a polygon what `bow` has curved: number plates are flat."""
+        rows = self._rows(chart)
+        for plane in self._bows:
+            cv2.fillPoly(plane[rows], [self._pixels(chart, points)], 0.0, cv2.LINE_8, 4)
+
+    def shadow(self, chart: Chart, points: Any, share: float, width: float = 0.05) -> None:
+        """Keep a share of the light from a line, softly, as hollows and edges do.
+
+        Args:
+            chart: drawing.
+            points: as for `line`.
+            share: 0 to 1, of the light that is kept away.
+            width: metres.
+        """
+        view = self._dark[self._rows(chart)]
+        thick = max(1, round(width * self.ppm))
+        cv2.polylines(view, [self._pixels(chart, points)], False, round(255 * share), thick, cv2.LINE_8, 4)
+
     @cached_property
     def image(self) -> NDArray[np.uint8]:
         """(h, w, 6) uint8, all that was painted and embossed before it was first asked for."""
@@ -114,12 +156,17 @@ class Skin:
             # Drawings end at their own borders.
             rows = self._rows(chart)
             fine, soft = (plane[rows] for plane in self._relief)
-            if not fine.any() and not soft.any():
+            bows = self._bows[:, rows]
+            if self._dark[rows].any():
+                kept = 1 - cv2.blur(self._dark[rows], (_SOFT_SHADOW_PX, _SOFT_SHADOW_PX)) / np.float32(255)
+                # Colours are stored as square roots.
+                out[rows, :, :3] = (out[rows, :, :3] * np.sqrt(kept)[..., None]).round()
+            if not fine.any() and not soft.any() and not bows.any():
                 continue
             height = cv2.GaussianBlur(fine, (0, 0), _FINE_PX) + cv2.GaussianBlur(soft, (0, 0), _SOFT_PX)
             for channel, (dx, dy) in ((4, (1, 0)), (5, (0, 1))):
                 slope = cv2.Sobel(height, cv2.CV_32F, dx, dy, ksize=3, scale=self.ppm / 8)
-                out[rows, :, channel] = (128 + 100 * slope).clip(0, 255).round().astype(np.uint8)
+                out[rows, :, channel] = (128 + 100 * (slope + bows[dy])).clip(0, 255).round().astype(np.uint8)
         return out
 
     def level(self, metres_per_px: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
@@ -134,7 +181,7 @@ class Skin:
                 # Materials do not mix.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
                 self._levels.append((half, maps / 2))
-        number = int(np.clip(np.floor(np.log2(max(metres_per_px * self.ppm, 1.0)) + 0.6), 0, 4))
+        number = int(np.clip(np.floor(np.log2(max(metres_per_px * self.ppm, 1.0)) + 0.45), 0, 4))
         return self._levels[number]
 
 

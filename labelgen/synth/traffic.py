@@ -125,10 +125,12 @@ def random_traffic(
             before = (entry, leave, size[0])
             clock = max(clock, entry)
             car = len(trips) + 1
+            # Motorcycles ride anywhere in their lane.
+            aside = rng.normal(0, 0.22) if kind != "motorcycle" else float(np.clip(rng.normal(0, 0.6), -1.1, 1.1))
             trips.append(
                 Trip(
                     car, kind, vehicle_seed, lane, size, np.array([entry, leave]), np.array([start, end]),
-                    float(rng.normal(0, 0.22)), car if lane.index is not None else None,
+                    float(aside), car if lane.index is not None else None,
                 )
             )  # fmt: skip
     return trips

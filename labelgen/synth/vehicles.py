@@ -28,9 +28,10 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.018, 0.018, 0.020), 0.3, 0.18),
     ((0.022, 0.036, 0.10), 0.5, 0.09),
     ((0.10, 0.17, 0.30), 0.6, 0.03),
-    ((0.36, 0.022, 0.022), 0.2, 0.06),
-    ((0.03, 0.10, 0.05), 0.3, 0.02),
-    ((0.28, 0.22, 0.14), 0.6, 0.03),
+    ((0.24, 0.016, 0.018), 0.2, 0.04),
+    ((0.10, 0.010, 0.014), 0.5, 0.03),
+    ((0.025, 0.07, 0.045), 0.4, 0.02),
+    ((0.22, 0.19, 0.145), 0.6, 0.03),
     ((0.55, 0.30, 0.03), 0.1, 0.01),
     ((0.60, 0.50, 0.08), 0.0, 0.01),
 )
@@ -92,11 +93,15 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
+    # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
+    spread = 0.006 + 0.10 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
+    red, green, blue = (np.array(body.colour) * rng.normal(1, spread, 3).clip(0.75, 1.25)).clip(0, 0.75).tolist()
+    colour = (red, green, blue)
     if kind == "motorcycle":
         skin = Skin(extent)
-        draw_motorcycle(skin, body.shape, body.colour, rng, lamps=lamps)
+        draw_motorcycle(skin, body.shape, colour, rng, lamps=lamps)
     else:
-        skin = draw_skin(body.shape, extent, body.colour, cargo, rng, lamps=lamps)
+        skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps)
     skin.level(0.0)  # every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
     return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
