@@ -2,7 +2,7 @@
 
 Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the card's size. Outputs `boxes` (N, 4) px,
 `scores` (N,), `cc` (N,), best first, non-maximum suppression done; `sizes` (N, 2) from models that say them, to be
-merged with c_c as `detector.sizes` does. The card lies in the file's metadata.
+merged with c_c and boxes as `detector.sizes` does. The card lies in the file's metadata.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from torchvision.models.resnet import BasicBlock, Bottleneck
 from detector.checkpoint import Card, load_detector
 from detector.device import choose_device, gains_from_half
 from detector.evaluate import Found
-from detector.model import CcRetinaNet, ModelConfig
-from detector.sizes import merge_cc, scene_vector
+from detector.model import CcRetinaNet
+from detector.sizes import merge_sizes, scene_vector
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
@@ -99,18 +99,19 @@ def _scene(rectification: Rectification, camera: Camera) -> Tensor:
     return torch.from_numpy(scene_vector(rectification.matrix, rectification.vpu, rectification.pair, camera))
 
 
-def to_found(detections: dict[str, Tensor], scene: Tensor, config: ModelConfig) -> Found:
+def to_found(detections: dict[str, Tensor], scene: Tensor, card: Card) -> Found:
     """A model's output for one picture as arrays.
 
     Args:
         detections: of the model.
         scene: (4,) of `detector.sizes.scene_vector`.
-        config: of the model.
+        card: of the model.
     """
     out = {key: value.detach().double().cpu() for key, value in detections.items()}
     boxes, cc, scores = out["boxes"], out["cc"], out["scores"]
     if "sizes" in out:
-        cc = merge_cc(cc, out["sizes"], boxes, scene.double().cpu(), config.size_weight)
+        place, weight = scene.double().cpu(), card.config.size_weight
+        cc, boxes = merge_sizes(cc, boxes, out["sizes"], place, weight=weight, height_px=card.size_wh[1])
     return Found(boxes.numpy(), cc.numpy(), scores.numpy())
 
 
@@ -189,8 +190,7 @@ class Detector:
                            enabled=self.half),
         ):  # fmt: skip
             outputs = self.model([picture.image for picture in pictures])
-        config = self.card.config
-        return [to_found(out, picture.scene, config) for out, picture in zip(outputs, pictures, strict=True)]
+        return [to_found(out, picture.scene, self.card) for out, picture in zip(outputs, pictures, strict=True)]
 
 
 def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> View:

@@ -207,13 +207,13 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
         """As torchvision's, with c_c, clamped to [0, 1], and the sizes going the same way as their box."""
-        found, sized = [], "sizes" in head_outputs
+        names, found = [name for name in ("cc", "sizes") if name in head_outputs], []
         for i, shape in enumerate(image_shapes):
             parts = [
                 self._candidates(
                     head_outputs["cls_logits"][level][i],
                     head_outputs["bbox_regression"][level][i],
-                    _side_by_side(head_outputs["cc"][level][i], head_outputs["sizes"][level][i] if sized else None),
+                    [head_outputs[name][level][i] for name in names],
                     a,
                 )
                 for level, a in enumerate(anchors[i])
@@ -222,24 +222,20 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
             boxes = clip_boxes_to_image(boxes, shape)
             labels = torch.zeros(len(boxes), dtype=torch.int64, device=boxes.device)
             keep = batched_nms(boxes, scores, labels, self.nms_thresh)[: self.detections_per_img]
-            kept = {"cc": values[keep, 0].clamp(0, 1), **({"sizes": values[keep, 1:]} if sized else {})}
+            kept = {"cc": values[keep, 0].clamp(0, 1), **({"sizes": values[keep, 1:]} if len(names) > 1 else {})}
             found.append({"boxes": boxes[keep], "scores": scores[keep], "labels": labels[keep], **kept})
         return found
 
     def _candidates(
-        self, logits: Tensor, boxes: Tensor, values: Tensor, anchors: Tensor
+        self, logits: Tensor, boxes: Tensor, values: Sequence[Tensor], anchors: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """The best anchors of one level above the score threshold: boxes (K, 4), scores (K,), values (K, V)."""
         scores = torch.sigmoid(logits.float()).flatten()
         above = torch.where(scores > self.score_thresh)[0]
         best, order = scores[above].topk(min(self.topk_candidates, len(above)))
         index = above[order]
-        return self.box_coder.decode_single(boxes[index].float(), anchors[index]), best, values[index].float()
-
-
-def _side_by_side(cc: Tensor, sizes: Tensor | None) -> Tensor:
-    """(A,) and (A, 2) or none -> (A, 3) or (A, 1)."""
-    return cc[:, None] if sizes is None else torch.cat([cc[:, None], sizes], dim=1)
+        rest = torch.cat([value[index].reshape(len(index), value[0].numel()).float() for value in values], dim=1)
+        return self.box_coder.decode_single(boxes[index].float(), anchors[index]), best, rest
 
 
 class _ExactAnchors(AnchorGenerator):  # type: ignore[misc]

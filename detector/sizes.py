@@ -27,10 +27,22 @@ from torch import Tensor
 from labelgen.geometry import Camera, Pair
 from labelgen.geometry.projective import Array, apply_homography
 
-__all__ = ["TYPICAL_HEIGHT_M", "TYPICAL_LENGTH_M", "merge_cc", "moved_scene", "scene_vector", "sizes_from_cc"]
+__all__ = [
+    "CUT_PX",
+    "TYPICAL_HEIGHT_M",
+    "TYPICAL_LENGTH_M",
+    "merge_sizes",
+    "moved_scene",
+    "scene_vector",
+    "sizes_from_cc",
+]
 
 TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M = 1.5, 4.5
 
+CUT_PX = 3.0
+"""A box whose lower side is nearer than this to the picture's lower border counts as cut by it."""
+
+_TOP_WEIGHT = 0.5
 _AHEAD = 4.0
 """Where the road's scale is read off, in heights of the camera; any place gives the same."""
 _LENGTHS_M = (0.5, 40.0)
@@ -78,32 +90,43 @@ def sizes_from_cc(cc: Tensor, boxes_xyxy: Tensor, scene: Tensor) -> Tensor:
     rows, nearness = _from_camera(boxes_xyxy, scene)
     tall = boxes_xyxy[:, 3] - boxes_xyxy[:, 1]
     k, m = ((1 - cc) * tall).clamp(min=1.0) / rows, cc * tall / rows
-    # How far the vehicle reaches, in its distance: the inverse of `merge_cc`.
+    # How far the vehicle reaches, in its distance: the inverse of `merge_sizes`.
     reach = m / (1 - k - m).clamp(min=1e-6) if scene[3] < 0 else m / (1 + k)
     length = (reach / (nearness * scene[1])).clamp(*_LENGTHS_M)
     return torch.stack([torch.log(k / (scene[1] * TYPICAL_HEIGHT_M)), torch.log(length / TYPICAL_LENGTH_M)], dim=1)
 
 
-def merge_cc(cc: Tensor, sizes: Tensor, boxes_xyxy: Tensor, scene: Tensor, weight: float) -> Tensor:
-    """c_c from both of a network's estimates.
+def merge_sizes(
+    cc: Tensor, boxes_xyxy: Tensor, sizes: Tensor, scene: Tensor, *, weight: float, height_px: float
+) -> tuple[Tensor, Tensor]:
+    """c_c and box from what a network sees and from the sizes it says.
+
+    The box's upper side becomes the mean of both. Nothing changes where the camera's height is not known, and where the
+    picture's lower border cuts a box, which then does not end on the road.
 
     Args:
         cc: (N,) as seen.
+        boxes_xyxy: (N, 4) px, likewise.
         sizes: (N, 2) of `sizes_from_cc`.
-        boxes_xyxy: (N, 4) px; only their lower sides count.
         scene: (4,) of `scene_vector`.
-        weight: of the c_c that follows from the sizes, 0 to 1; 0 is what a camera of unknown height gets.
+        weight: of the c_c that follows from the sizes, 0 to 1.
+        height_px: of the picture.
 
     Returns:
-        (N,) in [0, 1].
+        c_c (N,) in [0, 1], boxes (N, 4) px.
     """
     if scene[1] == 0:
-        return cc.clamp(0, 1)
-    _, nearness = _from_camera(boxes_xyxy, scene)
+        return cc.clamp(0, 1), boxes_xyxy
+    rows, nearness = _from_camera(boxes_xyxy, scene)
     k = sizes[:, 0].exp() * TYPICAL_HEIGHT_M * scene[1]
     reach = sizes[:, 1].exp() * TYPICAL_LENGTH_M * scene[1] * nearness
     m = reach * (1 - k).clamp(min=0) / (1 + reach) if scene[3] < 0 else reach * (1 + k)
-    return ((1 - weight) * cc + weight * m / (k + m)).clamp(0, 1)
+    bottoms = boxes_xyxy[:, 3]
+    whole = bottoms < height_px - CUT_PX
+    tops = ((1 - _TOP_WEIGHT) * boxes_xyxy[:, 1] + _TOP_WEIGHT * (bottoms - rows * (k + m))).clamp(min=0)
+    merged = boxes_xyxy.clone()
+    merged[:, 1] = torch.where(whole, tops, boxes_xyxy[:, 1])
+    return torch.where(whole, (1 - weight) * cc + weight * m / (k + m), cc).clamp(0, 1), merged
 
 
 def _from_camera(boxes_xyxy: Tensor, scene: Tensor) -> tuple[Tensor, Tensor]:

@@ -12,7 +12,7 @@ from random_cameras import random_camera
 from detector.augment import AxisMap
 from detector.model import CcHead, ModelConfig, build_model
 from detector.presets import PRESETS
-from detector.sizes import TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M, merge_cc, moved_scene, scene_vector, sizes_from_cc
+from detector.sizes import TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M, merge_sizes, moved_scene, scene_vector, sizes_from_cc
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, encode_boxes, road_cuboids
 
@@ -67,8 +67,11 @@ def test_c_c_is_what_the_sizes_say(pair: Pair) -> None:
         moved = torch.from_numpy(moved_scene(scene, move.scale_xy[1], move.shift_xy[1]))
         np.testing.assert_allclose(sizes_from_cc(cc, torch.from_numpy(boxes), scene), wanted, atol=1e-5)
         for where, at in ((boxes, scene), (move.boxes(boxes), moved)):
-            again = merge_cc(torch.zeros_like(cc), torch.from_numpy(wanted), torch.from_numpy(where), at, 1.0)
+            again, same = merge_sizes(
+                torch.zeros_like(cc), torch.from_numpy(where), torch.from_numpy(wanted), at, weight=1.0, height_px=1e6
+            )
             np.testing.assert_allclose(again, cc, atol=1e-6)
+            np.testing.assert_allclose(same[:, 1:], where[:, 1:].clip(min=[0, -np.inf, -np.inf]), atol=1e-4)
         checked += len(cc)
     assert checked > 150
 
@@ -83,30 +86,42 @@ def test_an_error_of_the_scale_hardly_matters(pair: Pair) -> None:
         told = sizes_from_cc(cc, where, scene_of(camera, rectification))
         assert camera.scale is not None
         wrong = scene_of(replace(camera, scale=1.1 * camera.scale), rectification)
-        worst.append((merge_cc(torch.zeros_like(cc), told, where, wrong, 1.0) - cc).abs().numpy())
+        found, _ = merge_sizes(torch.zeros_like(cc), where, told, wrong, weight=1.0, height_px=1e6)
+        worst.append((found - cc).abs().numpy())
     assert np.concatenate(worst).max() < 0.02
 
 
 # A car of 1.5 x 4.5 m, its foot 50 px from VPU, 18 m before a camera of 6 m: k = 1 / 4, L / D = 1 / 4,
-# m = 0.25 * 0.75 / 1.25 = 0.15 and c_c = 0.15 / 0.4.
-CAR = torch.tensor([[10.0, 50.0, 50.0, 60.0]])
+# m = 0.25 * 0.75 / 1.25 = 0.15, c_c = 0.15 / 0.4 and the box is 0.4 * 50 px high.
+CAR = torch.tensor([[10.0, 36.0, 50.0, 60.0]])
 SCENE = [10.0, 1 / 6, 150.0, -1.0]
+
+
+def merged(scene: list[float], weight: float = 1.0, height_px: float = 270) -> tuple[float, list[float]]:
+    """c_c seen as 0.775 and a box seen 4 px too high, merged with the typical sizes."""
+    cc, boxes = merge_sizes(
+        torch.tensor([0.775]), CAR, torch.zeros(1, 2), torch.tensor(scene), weight=weight, height_px=height_px
+    )
+    return cc.item(), boxes[0].tolist()
 
 
 @pytest.mark.parametrize(("weight", "wanted"), [(0.0, 0.775), (0.5, 0.575), (1.0, 0.375)])
 def test_both_are_merged(weight: float, wanted: float) -> None:
-    values = torch.tensor([0.775]), torch.zeros(1, 2), CAR
-    assert merge_cc(*values, torch.tensor(SCENE), weight).tolist() == pytest.approx([wanted])
-    # Without the camera's height there is only what was seen.
-    assert merge_cc(*values, torch.tensor([10.0, 0.0, 0.0, -1.0]), weight).tolist() == pytest.approx([0.775])
+    assert merged(SCENE, weight) == (pytest.approx(wanted), [10.0, 38.0, 50.0, 60.0])
 
 
 def test_c_c_in_the_other_pair() -> None:
-    """The same car seen from above: k = 1.5 / 4.5, h / D = 50 / 150, m = 0.25 * 4 / 3."""
-    scene = torch.tensor([210.0, 1 / 6, 50.0, 1.0])
-    assert merge_cc(torch.zeros(1), torch.tensor([[float(np.log(4 / 3)), 0.0]]), CAR, scene, 1.0).tolist() == (
-        pytest.approx([0.5])
-    )
+    """One of 4.5 x 1.2 m from above, 18 m ahead: k = 1.2 / 4.8, m = 1 / 4 * 5 / 4, the box 56.25 of 100 px high."""
+    cc, box = merged([160.0, 1 / 6, 100 / 3, 1.0])
+    assert cc == pytest.approx(0.3125 / 0.5625)
+    assert box == pytest.approx([10.0, (36 + 3.75) / 2, 50.0, 60.0])
+
+
+@pytest.mark.parametrize(
+    ("scene", "height_px"), [([10.0, 0.0, 0.0, -1.0], 270.0), (SCENE, 62.0)], ids=["camera not known", "box cut below"]
+)
+def test_what_was_seen_stays_where_nothing_else_is_known(scene: list[float], height_px: float) -> None:
+    assert merged(scene, height_px=height_px) == (pytest.approx(0.775), CAR[0].tolist())
 
 
 def test_the_scene_of_a_camera() -> None:
