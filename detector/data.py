@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from detector.augment import Ranges, Target, change_light, cut_to_image, draw_map
-from detector.height import scene_vector
+from detector.sizes import moved_scene, scene_vector
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
 from labelgen.geometry.projective import Array
@@ -50,7 +50,7 @@ class Batch:
     Args:
         images: (N, 3, H, W) uint8 RGB.
         targets: per image `boxes` (L, 4) float32, `labels` (L,) int64 zeros, `cc` (L,) float32, `cc_known` (L,) bool,
-            `scene` (2,) float32, see `detector.height.scene_vector`.
+            `scene` (4,) float32, see `detector.sizes.scene_vector`.
         indices: (N,) numbers of the samples.
     """
 
@@ -157,7 +157,7 @@ def _plain(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def to_tensors(image: NDArray[np.uint8], target: Target, scene: Array) -> tuple[Tensor, dict[str, Tensor]]:
-    """Image (H, W, 3) BGR, labels and scene (2,) as a model's input and target."""
+    """Image (H, W, 3) BGR, labels and scene (4,) as a model's input and target."""
     rgb = np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1))
     return torch.from_numpy(rgb), {
         "boxes": torch.from_numpy(target.boxes_xyxy.astype(np.float32)).reshape(-1, 4),
@@ -226,20 +226,21 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         reader, row = source.shards.locate(index)
         image = _decode(reader.encoded(row), f"{reader.path}, sample {row}")
         rng = np.random.default_rng([self._seed, 3, number])
-        scene = scene_vector(reader.table("samples/vpu")[row], reader.camera(row))
+        matrix, vpu = (reader.table(f"samples/{name}")[row] for name in ("matrix", "vpu"))
+        scene = scene_vector(matrix, vpu, reader.pair, reader.camera(row))
         return (*to_tensors(*self.augment(image, reader.labels(row), scene, source.crops, rng)), number)
 
     def augment(
         self, image: NDArray[np.uint8], labels: Labels, scene: Array, crops: bool, rng: np.random.Generator
     ) -> tuple[NDArray[np.uint8], Target, Array]:
-        """A picture (H, W, 3) BGR, its labels and scene (2,) as they go into training."""
+        """A picture (H, W, 3) BGR, its labels and scene (4,) as they go into training."""
         ranges = self._crops if crops else self._whole
         move = draw_map(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
         target = Target.of(labels)
         moved = cut_to_image(Target(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
         out = move.image(image, self._size_wh)
-        row = move.points([0.0, scene[0]])[1]
-        return change_light(rng, out, ranges.light) if ranges.light else out, moved, np.array([row, scene[1]])
+        scene = moved_scene(scene, move.scale_xy[1], move.shift_xy[1])
+        return change_light(rng, out, ranges.light) if ranges.light else out, moved, scene
 
 
 def _decode(encoded: bytes, where: str) -> NDArray[np.uint8]:
@@ -264,7 +265,8 @@ class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
 
     def __getitem__(self, index: int) -> tuple[Tensor, dict[str, Tensor], int]:
         sample = self.shards[index]
-        scene = scene_vector(sample.rectification.vpu, sample.camera)
+        rectification = sample.rectification
+        scene = scene_vector(rectification.matrix, rectification.vpu, rectification.pair, sample.camera)
         return (*to_tensors(sample.image, Target.of(sample.labels), scene), index)
 
 

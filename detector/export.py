@@ -1,8 +1,8 @@
 """The detector for other runtimes, as ONNX.
 
 Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the card's size. Outputs `boxes` (N, 4) px,
-`scores` (N,), `cc` (N,), best first, non-maximum suppression done; `height` (N,) from models that say it, to be merged
-with c_c as `detector.height` does. The card lies in the file's metadata.
+`scores` (N,), `cc` (N,), best first, non-maximum suppression done; `sizes` (N, 2) from models that say them, to be
+merged with c_c and boxes as `detector.sizes` does. The card lies in the file's metadata.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ class FixedSizeDetector(nn.Module):
     @property
     def output_names(self) -> list[str]:
         """What `forward` returns."""
-        return ["boxes", "scores", "cc", *(["height"] if self.model.head.regression_head.values > 1 else [])]
+        return ["boxes", "scores", "cc", *(["sizes"] if self.model.head.regression_head.values > 1 else [])]
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Picture (3, H, W) -> boxes (N, 4), scores (N,), c_c (N,), where there is one height (N,)."""
+        """Picture (3, H, W) -> boxes (N, 4), scores (N,), c_c (N,), where there are any sizes (N, 2)."""
         model = self.model
         padded = nn.functional.pad((image - self.mean) / self.std, (0, self._padding[0], 0, self._padding[1]))
         outputs = model.head(list(model.backbone(padded[None]).values()))
@@ -80,7 +80,7 @@ class FixedSizeDetector(nn.Module):
             index = index + start
             boxes = model.box_coder.decode_single(outputs["bbox_regression"][0][index], self.anchors[index])
             values = [outputs["cc"][0][index].clamp(0, 1)]
-            values += [outputs["height"][0][index]] if "height" in outputs else []
+            values += [outputs["sizes"][0][index]] if "sizes" in outputs else []
             parts.append((clip_boxes_to_image(boxes, self._size_hw), scores, *values))
             start = stop
         boxes, scores, *rest = (torch.cat(part) for part in zip(*parts, strict=True))
@@ -134,14 +134,14 @@ class Parity:
 
     Args:
         boxes: compared.
-        px, score, cc, height: greatest differences.
+        px, score, cc, sizes: greatest differences.
     """
 
     boxes: int
     px: float
     score: float
     cc: float
-    height: float
+    sizes: float
 
 
 def check_onnx(
@@ -171,6 +171,6 @@ def check_onnx(
         if len(found[0]) != len(wanted["boxes"]):
             raise LabelgenError(f"{exported}: it finds {len(found[0])} boxes, the checkpoint {len(wanted['boxes'])}")
         count += len(found[0])
-        for k, (key, value) in enumerate(zip(("boxes", "scores", "cc", "height"), found, strict=False)):
+        for k, (key, value) in enumerate(zip(("boxes", "scores", "cc", "sizes"), found, strict=False)):
             worst[k] = max(worst[k], float(np.abs(value - wanted[key].numpy()).max(initial=0.0)))
     return Parity(count, *worst)

@@ -24,8 +24,8 @@ from torchvision.models.resnet import BasicBlock, Bottleneck
 from detector.checkpoint import Card, load_detector
 from detector.device import choose_device, gains_from_half
 from detector.evaluate import Found
-from detector.height import merge_cc, scene_vector
-from detector.model import CcRetinaNet, ModelConfig
+from detector.model import CcRetinaNet
+from detector.sizes import merge_sizes, scene_vector
 from detector.variants import Variant, View
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
@@ -88,25 +88,30 @@ class Picture(NamedTuple):
 
     Args:
         image: (3, H, W) float RGB in [0, 1] on the device, rectified.
-        scene: (2,) of `detector.height.scene_vector`.
+        scene: (4,) of `detector.sizes.scene_vector`.
     """
 
     image: Tensor
     scene: Tensor
 
 
-def to_found(detections: dict[str, Tensor], scene: Tensor, config: ModelConfig) -> Found:
+def _scene(rectification: Rectification, camera: Camera) -> Tensor:
+    return torch.from_numpy(scene_vector(rectification.matrix, rectification.vpu, rectification.pair, camera))
+
+
+def to_found(detections: dict[str, Tensor], scene: Tensor, card: Card) -> Found:
     """A model's output for one picture as arrays.
 
     Args:
         detections: of the model.
-        scene: (2,) of `detector.height.scene_vector`.
-        config: of the model.
+        scene: (4,) of `detector.sizes.scene_vector`.
+        card: of the model.
     """
     out = {key: value.detach().double().cpu() for key, value in detections.items()}
     boxes, cc, scores = out["boxes"], out["cc"], out["scores"]
-    if "height" in out:
-        cc = merge_cc(cc, out["height"], boxes, scene.double().cpu(), config.height_weight)
+    if "sizes" in out:
+        place, weight = scene.double().cpu(), card.config.size_weight
+        cc, boxes = merge_sizes(cc, boxes, out["sizes"], place, weight=weight, height_px=card.size_wh[1])
     return Found(boxes.numpy(), cc.numpy(), scores.numpy())
 
 
@@ -158,7 +163,7 @@ class Detector:
 
     def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], Picture]:
         """Rectifies frames, on the device where that is a GPU: `detector.sources.Detector`."""
-        scene = torch.from_numpy(scene_vector(rectification.vpu, camera))
+        scene = _scene(rectification, camera)
         if self.device.type != "cpu":
             warp = DeviceRectifier(rectification, self.device)
             return lambda frame: Picture(warp(frame), scene)
@@ -175,8 +180,7 @@ class Detector:
 
     def picture(self, sample: Sample) -> Picture:
         """The rectified picture of a shard's sample."""
-        scene = torch.from_numpy(scene_vector(sample.rectification.vpu, sample.camera))
-        return Picture(to_tensor(sample.image, self.device), scene)
+        return Picture(to_tensor(sample.image, self.device), _scene(sample.rectification, sample.camera))
 
     def __call__(self, pictures: Sequence[Picture]) -> list[Found]:
         """Detections in rectified pictures, as `picture` and `rectifier` make them."""
@@ -186,8 +190,7 @@ class Detector:
                            enabled=self.half),
         ):  # fmt: skip
             outputs = self.model([picture.image for picture in pictures])
-        config = self.card.config
-        return [to_found(out, picture.scene, config) for out, picture in zip(outputs, pictures, strict=True)]
+        return [to_found(out, picture.scene, self.card) for out, picture in zip(outputs, pictures, strict=True)]
 
 
 def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> View:

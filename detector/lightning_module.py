@@ -66,7 +66,7 @@ class DetectorModule(LightningModule):
         """Detections of a batch."""
         outputs = self.model(list(as_input(batch)))
         for index, output, target in zip(batch.indices, outputs, batch.targets, strict=True):
-            self._found[index] = to_found(output, target["scene"], self._card.config)
+            self._found[index] = to_found(output, target["scene"], self._card)
 
     def validation_pairs(self) -> list[tuple[Sample, Found]]:
         """The validation samples seen last, with their detections."""

@@ -1,13 +1,14 @@
 """torchvision's RetinaNet with a second regression output: c_c, one value per anchor.
 
-    L = (L_conf + L_loc + w L_c + w L_h) / N
+    L = (L_conf + L_loc + w L_c + w L_s) / N
 
 over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors
-that are positive or negative, smooth L1 (published: beta 1/9) over the positive ones for the box and for c_c. L_h is
-the same for the vehicle's height, in models that say it; the published ones do not. A label whose c_c is not known
-(`cc_known` False) is left out of L_c and L_h.
+that are positive or negative, smooth L1 (published: beta 1/9) over the positive ones for the box and for c_c. L_s is
+the same for the vehicle's height and length, in models that say them; the published ones do not. A label whose c_c is
+not known (`cc_known` False) is left out of L_c and L_s.
 
-Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized.
+Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized. Anchors,
+boxes, scores and values are float32 in any precision of the network: bfloat16 knows only every other px beyond 256.
 
 Source: Lin et al. 2017 (RetinaNet); Kocur & Ftacnik 2020, section 3.4 (c_c and the loss).
 """
@@ -29,7 +30,7 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms, clip_boxes_to_image, sigmoid_focal_loss
 
 from detector.backbone import NORMS, build_backbone
-from detector.height import heights_from_cc
+from detector.sizes import sizes_from_cc
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
 
@@ -50,8 +51,8 @@ class ModelConfig:
         anchor_ratios: heights over widths of the anchors, the same on every level.
         cc_weight: weight of the c_c term; 0 for the 2D variants.
         beta: of the smooth L1 terms: errors below it count with their square.
-        height_weight: of the c_c that follows from the vehicle's height, see `detector.height`; 0: the model has no
-            output for it.
+        size_weight: of the c_c that follows from the vehicle's sizes, see `detector.sizes`; 0: the model has no output
+            for them.
         low_quality_matches: whether a label without an anchor of IoU 0.5 gets its best one nevertheless, as
             torchvision does it; the paper does not say so.
     """
@@ -68,25 +69,25 @@ class ModelConfig:
     anchor_ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
     cc_weight: float = 1.0
     beta: float = 1 / 9
-    height_weight: float = 0.0
+    size_weight: float = 0.0
     low_quality_matches: bool = False
 
 
 class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
-    """torchvision's box head, with c_c, and the vehicle's height, read off the same tower by one more convolution."""
+    """torchvision's box head, with c_c, and the vehicle's sizes, read off the same tower by one more convolution."""
 
-    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any, with_height: bool) -> None:
+    def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any, with_sizes: bool) -> None:
         super().__init__(in_channels, num_anchors, norm_layer=norm_layer)
-        self.values = 2 if with_height else 1
+        self.values = 3 if with_sizes else 1
         self.cc = nn.Conv2d(in_channels, num_anchors * self.values, kernel_size=3, padding=1)
         nn.init.normal_(self.cc.weight, std=0.01)
-        # c_c lies in [0, 1], the logarithm of a car's height over 1.5 m around 0: begin in the middle.
+        # c_c lies in [0, 1], the logarithms of a car's sizes over typical ones around 0: begin in the middle.
         assert self.cc.bias is not None
         with torch.no_grad():
-            self.cc.bias.view(num_anchors, self.values).copy_(torch.tensor([0.5, 0.0][: self.values]))
+            self.cc.bias.view(num_anchors, self.values).copy_(torch.tensor([0.5, 0.0, 0.0][: self.values]))
 
     def forward(self, x: list[Tensor]) -> Any:
-        """Per level features -> boxes (N, A, 4) and values (N, A, 1 or 2), in torchvision's order of anchors."""
+        """Per level features -> boxes (N, A, 4) and values (N, A, 1 or 3), in torchvision's order of anchors."""
         # One convolution for both: c_c's few channels alone would cost as much as a block of sixteen.
         assert self.cc.bias is not None
         weight = torch.cat([self.bbox_reg.weight, self.cc.weight])
@@ -110,32 +111,32 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
     Args:
         in_channels, num_anchors, norm_layer: as torchvision's.
         convs: convolutions in each tower, 1 to 4.
-        cc_weight: weight of the terms of c_c and height.
+        cc_weight: weight of the terms of c_c and sizes.
         beta: of the smooth L1 terms.
-        with_height: whether there is an output for the height.
+        with_sizes: whether there is an output for height and length.
     """
 
     def __init__(
         self, in_channels: int, num_anchors: int, norm_layer: Any = None, *,
-        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9, with_height: bool = False,
+        convs: int = 4, cc_weight: float = 1.0, beta: float = 1 / 9, with_sizes: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(in_channels, num_anchors, num_classes=1, norm_layer=norm_layer)
-        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer, with_height)
+        self.regression_head = _CcRegressionHead(in_channels, num_anchors, norm_layer, with_sizes)
         for head in (self.classification_head, self.regression_head):
             head.conv = head.conv[:convs]
         self.cc_weight, self.beta = cc_weight, beta
 
     def forward(self, x: list[Tensor]) -> dict[str, Tensor]:
-        """Outputs of all anchors; `height` (N, A) only where there is such an output."""
+        """Outputs of all anchors; `sizes` (N, A, 2) only where there is such an output."""
         boxes, values = self.regression_head(x)
-        named = dict(zip(("cc", "height"), values.unbind(-1), strict=False))
-        return {"cls_logits": self.classification_head(x), "bbox_regression": boxes, **named}
+        sizes = {"sizes": values[..., 1:]} if self.regression_head.values > 1 else {}
+        return {"cls_logits": self.classification_head(x), "bbox_regression": boxes, "cc": values[..., 0], **sizes}
 
     def compute_loss(self, targets: Any, head_outputs: Any, anchors: Any, matched_idxs: Any) -> dict[str, Tensor]:
         """The terms, each divided by the batch's number of positive anchors.
 
         Args:
-            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool; for heights `scene` (2,) as well.
+            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool; for sizes `scene` (4,) as well.
             head_outputs: of `forward`.
             anchors: per image (A, 4).
             matched_idxs: per image (A,) number of the label, -1 negative, -2 neither.
@@ -143,7 +144,7 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         matched = torch.stack(list(matched_idxs))
         positive, counted = matched >= 0, matched != Matcher.BETWEEN_THRESHOLDS
         count = positive.sum().clamp(min=1)
-        logits = head_outputs["cls_logits"].squeeze(-1)
+        logits = head_outputs["cls_logits"].squeeze(-1).float()
         conf = sigmoid_focal_loss(logits[counted], positive[counted].to(logits.dtype), reduction="sum")
 
         coder = self.regression_head.box_coder
@@ -160,21 +161,21 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         known = torch.cat([t["cc_known"][index] for t, index in zip(targets, chosen, strict=True)])
         cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=self.beta, reduction="sum")
         terms = {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
-        if "height" in head_outputs:
-            heights = torch.cat([_heights(t)[index] for t, index in zip(targets, chosen, strict=True)])
-            known = known & heights.isfinite()
-            found = head_outputs["height"][positive][known]
-            terms["height"] = (
-                self.cc_weight * F.smooth_l1_loss(found, heights[known], beta=self.beta, reduction="sum") / count
+        if "sizes" in head_outputs:
+            sizes = torch.cat([_sizes(t)[index] for t, index in zip(targets, chosen, strict=True)])
+            known = known & sizes.isfinite().all(dim=1)
+            found = head_outputs["sizes"][positive][known]
+            terms["sizes"] = (
+                self.cc_weight * F.smooth_l1_loss(found, sizes[known], beta=self.beta, reduction="sum") / count
             )
         return terms
 
 
-def _heights(target: dict[str, Tensor]) -> Tensor:
-    """(L,) what the model should say of the labels' heights; NaN for a camera of unknown height."""
+def _sizes(target: dict[str, Tensor]) -> Tensor:
+    """(L, 2) what the model should say of the labels' sizes; NaN for a camera of unknown height."""
     if target["scene"][1] == 0:
-        return torch.full_like(target["cc"], torch.nan)
-    return heights_from_cc(target["cc"], target["boxes"], target["scene"])
+        return torch.full((len(target["cc"]), 2), torch.nan, device=target["cc"].device)
+    return sizes_from_cc(target["cc"], target["boxes"], target["scene"])
 
 
 class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
@@ -191,7 +192,7 @@ class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
 class CcRetinaNet(RetinaNet):  # type: ignore[misc]
     """RetinaNet of one class with c_c. In training a dict of losses, else per image `boxes`, `scores`, `labels`, `cc`.
 
-    Models with an output for the height give `height` as well; `detector.height` merges the two.
+    Models with an output for the vehicle's sizes give `sizes` (N, 2) as well; `detector.sizes` merges it with c_c.
 
     Args:
         backbone: trunk with pyramid, see `detector.backbone.build_backbone`.
@@ -205,15 +206,14 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         self.transform = _AsItIs()
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
-        """As torchvision's, with c_c, clamped to [0, 1], and the height going the same way as their box."""
-        names = [name for name in ("cc", "height") if name in head_outputs]
-        found = []
+        """As torchvision's, with c_c, clamped to [0, 1], and the sizes going the same way as their box."""
+        names, found = [name for name in ("cc", "sizes") if name in head_outputs], []
         for i, shape in enumerate(image_shapes):
             parts = [
                 self._candidates(
                     head_outputs["cls_logits"][level][i],
                     head_outputs["bbox_regression"][level][i],
-                    torch.stack([head_outputs[name][level][i] for name in names], dim=1),
+                    [head_outputs[name][level][i] for name in names],
                     a,
                 )
                 for level, a in enumerate(anchors[i])
@@ -222,20 +222,28 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
             boxes = clip_boxes_to_image(boxes, shape)
             labels = torch.zeros(len(boxes), dtype=torch.int64, device=boxes.device)
             keep = batched_nms(boxes, scores, labels, self.nms_thresh)[: self.detections_per_img]
-            kept = dict(zip(names, values[keep].unbind(1), strict=True))
-            kept["cc"] = kept["cc"].clamp(0, 1)
+            kept = {"cc": values[keep, 0].clamp(0, 1), **({"sizes": values[keep, 1:]} if len(names) > 1 else {})}
             found.append({"boxes": boxes[keep], "scores": scores[keep], "labels": labels[keep], **kept})
         return found
 
     def _candidates(
-        self, logits: Tensor, boxes: Tensor, values: Tensor, anchors: Tensor
+        self, logits: Tensor, boxes: Tensor, values: Sequence[Tensor], anchors: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """The best anchors of one level above the score threshold: boxes (K, 4), scores (K,), values (K, V)."""
-        scores = torch.sigmoid(logits).flatten()
+        scores = torch.sigmoid(logits.float()).flatten()
         above = torch.where(scores > self.score_thresh)[0]
         best, order = scores[above].topk(min(self.topk_candidates, len(above)))
         index = above[order]
-        return self.box_coder.decode_single(boxes[index], anchors[index]), best, values[index]
+        rest = torch.cat([value[index].reshape(len(index), value[0].numel()).float() for value in values], dim=1)
+        return self.box_coder.decode_single(boxes[index].float(), anchors[index]), best, rest
+
+
+class _ExactAnchors(AnchorGenerator):  # type: ignore[misc]
+    """torchvision's, in float32: it makes them in the precision of the features."""
+
+    def forward(self, image_list: Any, feature_maps: list[Tensor]) -> Any:
+        """Anchors (A, 4) of each image; of the features only size and device count."""
+        return super().forward(image_list, [torch.empty(f.shape[-2:], device=f.device) for f in feature_maps])
 
 
 def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -> CcRetinaNet:
@@ -251,10 +259,10 @@ def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -
     """
     backbone = build_backbone(config.backbone, config.levels, config.channels, weights=weights, norm=config.trunk_norm)
     sizes: Sequence[Sequence[float]] = config.anchor_sizes
-    anchors = AnchorGenerator(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
+    anchors = _ExactAnchors(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
     head = CcHead(
         config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
-        cc_weight=config.cc_weight, beta=config.beta, with_height=config.height_weight > 0,
+        cc_weight=config.cc_weight, beta=config.beta, with_sizes=config.size_weight > 0,
     )  # fmt: skip
     matcher = Matcher(0.5, 0.4, allow_low_quality_matches=config.low_quality_matches)
     return CcRetinaNet(backbone, anchors, head, proposal_matcher=matcher, **options)

@@ -75,7 +75,7 @@ def _presets() -> dict[str, Preset]:
     small = ModelConfig(
         backbone="resnet18", levels=(3, 4, 5), channels=64, head_convs=2, head_norm="group",
         anchor_sizes=((16.0, 24.0), (32.0, 48.0), (64.0, 96.0)),
-        cc_weight=3.0, beta=0.02, height_weight=0.5, low_quality_matches=True,
+        cc_weight=3.0, beta=0.02, size_weight=1.0, low_quality_matches=True,
     )  # fmt: skip
     found.append(
         Preset(

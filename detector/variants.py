@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from detector.detections import Detections
+from detector.sizes import CUT_PX
 from labelgen.errors import CalibrationError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, Region, RoadMask, decode_boxes
 from labelgen.geometry.projective import Array
 
 __all__ = ["Variant", "View"]
-
-_CUT_PX = 3.0
 
 
 class Variant(StrEnum):
@@ -202,4 +201,4 @@ class View:
         """(N,) False where the view's lower border cuts off the foot: there the box does not end on the road."""
         if self.rectification is None:
             return np.ones(len(boxes), dtype=np.bool_)
-        return np.asarray(boxes[:, 3] < self.size_wh[1] - _CUT_PX)
+        return np.asarray(boxes[:, 3] < self.size_wh[1] - CUT_PX)

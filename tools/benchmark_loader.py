@@ -24,8 +24,8 @@ import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
 from detector.data import TrainingSamples, collate, make_loader, open_sources, to_tensors
-from detector.height import scene_vector
 from detector.presets import find_preset
+from detector.sizes import scene_vector
 from labelgen.labels import Labels, Sample
 from labelgen.shards import ShardSet
 
@@ -58,10 +58,10 @@ def write_tars(shards: ShardSet, folder: Path) -> list[str]:
 
 
 def _to_json(sample: Sample) -> bytes:
-    labels = sample.labels
+    labels, view = sample.labels, sample.rectification
     row = {
         "boxes": labels.boxes_xyxy.tolist(), "cc": labels.cc.tolist(), "flags": labels.flags.tolist(),
-        "scene": scene_vector(sample.rectification.vpu, sample.camera).tolist(),
+        "scene": scene_vector(view.matrix, view.vpu, view.pair, sample.camera).tolist(),
     }  # fmt: skip
     return json.dumps(row).encode()
 

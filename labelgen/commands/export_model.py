@@ -48,7 +48,7 @@ def export_model(
     if check is not None:
         parity = check_onnx(checkpoint, out, _pictures(check, card), score=score)
         rows += [("boxes compared", parity.boxes), ("greatest difference, px", f"{parity.px:.2e}")]
-        rows += [("of scores", f"{parity.score:.2e}"), ("of c_c, height", f"{parity.cc:.2e}, {parity.height:.2e}")]
+        rows += [("of scores", f"{parity.score:.2e}"), ("of c_c, sizes", f"{parity.cc:.2e}, {parity.sizes:.2e}")]
     typer.echo(f"Exported {checkpoint.name} ({card.preset}, {card.pair})")
     print_table(rows)
     write_json_report(

@@ -206,3 +206,14 @@ def test_backbones_by_name(name: str) -> None:
 def test_impossible_backbones_are_named(changes: dict[str, object], message: str) -> None:
     with pytest.raises(LabelgenError, match=message):
         build_model(replace(LIGHT, **changes))
+
+
+def test_half_precision_leaves_boxes_precise() -> None:
+    """Anchors and boxes in bfloat16 would lie on whole or even pixels."""
+    model = seeded(LIGHT, score_thresh=0.0).eval()
+    with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
+        (found,) = model([torch.rand(3, 270, 480)])
+    assert {value.dtype for key, value in found.items() if key != "labels"} == {torch.float32}
+    far = found["boxes"][:, 0] > 256
+    assert far.any()
+    assert (found["boxes"][far, 0] % 2).unique().numel() > 10
