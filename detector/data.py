@@ -25,7 +25,7 @@ from labelgen.errors import DataError
 from labelgen.geometry import Pair
 from labelgen.geometry.projective import Array
 from labelgen.labels import Labels
-from labelgen.shards import ShardSet
+from labelgen.shards import ShardReader, ShardSet
 
 __all__ = [
     "Batch",
@@ -190,6 +190,7 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         weights = np.array([source.weight for source in sources])
         ends = np.round(np.cumsum(weights / weights.sum()) * self._pass_length).astype(np.int64)
         self._shares = np.diff(ends, prepend=0)
+        self._scenes: dict[Path, Array] = {}
         self._plan = lru_cache(maxsize=2)(self._draw_plan)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -226,8 +227,9 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         reader, row = source.shards.locate(index)
         image = _decode(reader.encoded(row), f"{reader.path}, sample {row}")
         rng = np.random.default_rng([self._seed, 3, number])
-        matrix, vpu = (reader.table(f"samples/{name}")[row] for name in ("matrix", "vpu"))
-        scene = scene_vector(matrix, vpu, reader.pair, reader.camera(row))
+        if reader.path not in self._scenes:
+            self._scenes[reader.path] = _scenes(reader)
+        scene = self._scenes[reader.path][row]
         return (*to_tensors(*self.augment(image, reader.labels(row), scene, source.crops, rng)), number)
 
     def augment(
@@ -241,6 +243,15 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         out = move.image(image, self._size_wh)
         scene = moved_scene(scene, move.scale_xy[1], move.shift_xy[1])
         return change_light(rng, out, ranges.light) if ranges.light else out, moved, scene
+
+
+def _scenes(reader: ShardReader) -> Array:
+    """(N, 4) `scene_vector` of all samples of a shard: few kinds, and one takes a share of a small picture's time."""
+    names = ("samples/matrix", "samples/vpu", "samples/camera")
+    rows = np.concatenate([reader.table(name).reshape(len(reader), -1) for name in names], axis=1)
+    kinds, of = np.unique(rows, axis=0, return_inverse=True)
+    found = [scene_vector(k[:9].reshape(3, 3), k[9:11], reader.pair, reader.cameras[int(k[11])]) for k in kinds]
+    return np.array(found).reshape(-1, 4)[of.ravel()]
 
 
 def _decode(encoded: bytes, where: str) -> NDArray[np.uint8]:

@@ -26,7 +26,7 @@ from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTR
 
 __all__ = ["ShardReader"]
 
-_STALE_AFTER_UNPICKLING = ("_tables", "attributes")
+_STALE_AFTER_UNPICKLING = ("_tables", "_labels", "attributes")
 
 
 class ShardReader:
@@ -175,15 +175,16 @@ class ShardReader:
     def labels(self, index: int) -> Labels:
         """Labels of one sample."""
         start, stop = self.table("labels/offset")[[index, index + 1]]
-        rows = slice(int(start), int(stop))
-        return Labels(
-            self.table("labels/box")[rows],
-            self.table("labels/cc")[rows],
-            self.table("labels/class")[rows],
-            self.table("labels/score")[rows],
-            self.table("labels/flags")[rows],
-            self.table("labels/candidates")[rows],
-        )
+        return self._labels[int(start) : int(stop)]
+
+    @cached_property
+    def _labels(self) -> Labels:
+        """Those of all samples: checked at once, not sample by sample in the middle of a training."""
+        names = ("box", "cc", "class", "score", "flags", "candidates")
+        try:
+            return Labels(*(self.table(f"labels/{name}") for name in names))
+        except DataError as err:
+            raise DataError(f"{self.path}: damaged ({err}); make it again") from None
 
     def encoded(self, index: int) -> bytes:
         """JPEG or PNG bytes of one sample."""
