@@ -61,7 +61,7 @@ def measure(video: Path) -> dict[str, Any]:
         start = time.process_time()
         way = scale_way(["auto-models"])
         frames = VideoFile(video, threads=1)
-        done = run.calibrate_video(frames, estimate_scale=way, collectors=way.collectors, stop_early=False)
+        done = run.calibrate_video(frames, estimate_scale=way, stop_early=False)
         total = time.process_time() - start
     finally:
         for owner, function, (_, _, method, _) in zip(owners, plain, _STAGES, strict=True):

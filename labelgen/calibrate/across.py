@@ -101,7 +101,7 @@ def directions(vp1: Array, tilt: Array, focal: Array) -> tuple[Array, Array]:
 def find_across(
     edges: Edges, vp1: Array, width: float, *, road: Array, temper: float = 1.0, around: Across | None = None
 ) -> Across:
-    """The most probable tilt and focal length.
+    """Tilt and focal length: the mean of what is probable near the most probable pair.
 
     Args:
         edges: of moving vehicles.
@@ -134,17 +134,17 @@ def find_across(
         density /= density.sum()
         row, column = np.unravel_index(int(score.argmax()), score.shape)
         best = (float(tilts[row]), float(focals[column]))
-        spread = _moments(density, tilts, np.log(focals), best)
+        mean, spread = _moments(density, tilts, np.log(focals))
         tilt_reach = max(3.5 * spread[0], 2 * (tilts[1] - tilts[0]) if len(tilts) > 21 else 0)
         focal_reach = max(3.5 * spread[1], 2 * float(np.log(focals[1] / focals[0])) if len(focals) > 21 else 0)
         tilts = best[0] + np.linspace(-tilt_reach, tilt_reach, 21)
         focals = best[1] * np.exp(np.linspace(-focal_reach, focal_reach, 21))
     if best is None:
-        return Across(0.0, _FOCAL_MEDIAN * width, _TILT_SD, _FOCAL_SD, 0.0, 0.0)
-    near = _angles(edges, directions(vp1, np.array(best[0]), np.array(best[1]))[0]) < np.radians(1.5)
+        return around or Across(0.0, _FOCAL_MEDIAN * width, _TILT_SD, _FOCAL_SD, 0.0, 0.0)
+    near = _angles(edges, directions(vp1, np.array(mean[0]), np.array(mean[1]))[0]) < np.radians(1.5)
     chance = 1.5 / 90
     support_share = float(near.mean()) - chance if len(edges) else 0.0
-    return Across(*best, *spread, support_share * len(edges), support_share)
+    return Across(*mean, *spread, support_share * len(edges), support_share)
 
 
 def _log_prior(tilt: Array, focal_widths: Array) -> Array:
@@ -201,9 +201,9 @@ def _angles(edges: Edges, vp: Array) -> Array:
     return np.arcsin(np.sqrt(np.minimum(_squared_sines(edges, vp[None])[:, 0], 1.0))).astype(np.float64)
 
 
-def _moments(density: Array, tilts: Array, log_focals: Array, best: tuple[float, float]) -> tuple[float, float]:
-    """Spread of tilt and of the focal length's logarithm about the best pair."""
+def _moments(density: Array, tilts: Array, log_focals: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Tilt and focal length, the means of tilt and of the focal length's logarithm; and their spreads."""
     over_tilt, over_focal = density.sum(axis=1), density.sum(axis=0)
-    tilt = np.sqrt(over_tilt @ (tilts - best[0]) ** 2)
-    focal = np.sqrt(over_focal @ (log_focals - np.log(best[1])) ** 2)
-    return max(float(tilt), 1e-4), max(float(focal), 1e-3)
+    tilt, focal = float(over_tilt @ tilts), float(over_focal @ log_focals)
+    spread = (float(np.sqrt(over_tilt @ (tilts - tilt) ** 2)), float(np.sqrt(over_focal @ (log_focals - focal) ** 2)))
+    return (tilt, float(np.exp(focal))), (max(spread[0], 1e-4), max(spread[1], 1e-3))

@@ -111,9 +111,9 @@ def calibrate_with_scale(
         CalibrationError: the video cannot carry a calibration, or no scale where one is needed; says why.
     """
     way = scale_way(scale)
-    done = calibrate_video(frames, pp=pp, duration_s=duration_s, collectors=way.collectors)
+    done = calibrate_video(frames, pp=pp, duration_s=duration_s)
     try:
-        found = way(done.camera, done.seen)
+        found = way(done.camera, done.blobs)
     except CalibrationError as err:
         if need_scale:
             raise

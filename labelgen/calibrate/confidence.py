@@ -67,9 +67,10 @@ class Evidence:
         along_share: share of the tracks, by vehicle, that go along VP1.
         bend_deg: by how much the road turns.
         across_edges, across_share: edges that point to VP2 in excess of chance, and their share.
-        vp1_deg, tilt_deg, focal: spread over resamples: degrees, degrees, and a share of the focal length.
+        vp1_deg, tilt_deg, focal: spread, over resamples at first: degrees, degrees, and a share of the focal length.
         drift: share of the picture's width.
         seconds: how much video was looked at.
+        seen_again: vehicles whose silhouettes at several distances had a say; 0 where none had.
     """
 
     vehicles: int
@@ -84,6 +85,7 @@ class Evidence:
     focal: float
     drift: float
     seconds: float
+    seen_again: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """For the `confidence` object of the calibration file."""
@@ -94,6 +96,7 @@ class Evidence:
                 "along_share": round(self.along_share, 3),
                 "bend_deg": round(self.bend_deg, 2),
                 "spread_deg": round(self.vp1_deg, 3),
+                "vehicles_seen_again": self.seen_again,
             },
             "vp2": {
                 "edges": self.edges,

@@ -22,7 +22,7 @@ from labelgen.calibrate.travel import (
 from labelgen.geometry import Camera
 from labelgen.geometry.projective import Array
 
-__all__ = ["Orientation", "estimate_orientation", "road_camera"]
+__all__ = ["Basis", "Orientation", "estimate_orientation", "road_camera"]
 
 # Half a usual field of view: with it, normalised angles are nearly angles at the camera.
 _UNIT_WIDTHS = 1.2
@@ -39,6 +39,31 @@ _FARTHEST_PX = 1e7
 
 
 @dataclass(frozen=True, eq=False)
+class Basis:
+    """What an orientation was estimated from, in normalised coordinates.
+
+    Args:
+        unit: px per unit.
+        width: of the picture, units.
+        tracks: (N,) numbers of the tracks used, in the observations' list.
+        vehicles: (N,) number of each track's vehicle.
+        road: (M, 2) places on the road.
+        edges: of vehicles.
+        temper: by how much the edges' joint evidence is discounted.
+        across: what they say.
+    """
+
+    unit: float
+    width: float
+    tracks: NDArray[np.int64]
+    vehicles: NDArray[np.int64]
+    road: Array
+    edges: Edges
+    temper: float
+    across: Across
+
+
+@dataclass(frozen=True, eq=False)
 class Orientation:
     """The camera without its scale.
 
@@ -46,11 +71,13 @@ class Orientation:
         camera: scale None.
         evidence: what it rests on.
         supporting: numbers of the tracks that VP1 rests on, in the observations' list.
+        basis: what it was estimated from.
     """
 
     camera: Camera
     evidence: Evidence
     supporting: NDArray[np.int64]
+    basis: Basis
 
 
 def estimate_orientation(
@@ -107,7 +134,8 @@ def estimate_orientation(
         drift=seen.drift,
         seconds=seen.duration_s,
     )
-    return Orientation(camera, evidence, numbers[travel.explained])
+    basis = Basis(unit, width / unit, numbers, vehicles, road, edges, temper, across)
+    return Orientation(camera, evidence, numbers[travel.explained], basis)
 
 
 def road_camera(vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]) -> Camera:

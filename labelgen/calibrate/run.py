@@ -10,9 +10,11 @@ from typing import Any, Protocol
 
 from numpy.typing import ArrayLike
 
+from labelgen.calibrate.blobs import Blob, BlobCollector
 from labelgen.calibrate.confidence import CalibrationRefusedError, doubts, overall
 from labelgen.calibrate.observe import Collector, Observations, observe
 from labelgen.calibrate.orientation import Orientation, estimate_orientation
+from labelgen.calibrate.refine import refine_orientation
 from labelgen.geometry import Camera
 from labelgen.sources.frames import FrameSource, open_frames
 
@@ -38,7 +40,7 @@ class Scale(Protocol):
     def details(self) -> Mapping[str, float]: ...
 
 
-EstimateScale = Callable[[Camera, Observations], Scale]
+EstimateScale = Callable[[Camera, Sequence[Blob]], Scale]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +52,14 @@ class Calibration:
         orientation: what VP1 and VP2 rest on.
         scale: likewise for the scale; None where none was asked for.
         seen: what the pass over the video gave.
+        blobs: silhouettes of vehicles from the same pass.
     """
 
     camera: Camera
     orientation: Orientation
     scale: Scale | None
     seen: Observations
+    blobs: Sequence[Blob]
 
     @property
     def doubts(self) -> list[str]:
@@ -95,8 +99,8 @@ def calibrate_video(
         source: a video file, a folder of images, or an opened source.
         pp: (2,) px, principal point; the picture's middle when None.
         duration_s: look at so much of the beginning at most.
-        estimate_scale: called with the camera without scale and what was seen; None leaves the scale open.
-        collectors: what else wants to see the frames; an estimate of the scale brings its own.
+        estimate_scale: called with the camera without scale and the silhouettes; None leaves the scale open.
+        collectors: what else wants to see the frames.
         stop_early: stop looking when resampling moves nothing any more.
 
     Raises:
@@ -115,10 +119,13 @@ def calibrate_video(
         sure = evidence.vp1_deg < _SURE_VP1_DEG and evidence.tilt_deg < _SURE_TILT_DEG and evidence.focal < _SURE_FOCAL
         return sure and evidence.vehicles >= _ENOUGH_VEHICLES
 
-    seen = observe(frames, duration_s=duration_s, collectors=collectors, enough=enough if stop_early else None)
-    orientation = estimate_orientation(frames.name, seen, pp)
+    collector = BlobCollector()
+    stop = enough if stop_early else None
+    seen = observe(frames, duration_s=duration_s, collectors=[*collectors, collector], enough=stop)
+    blobs = collector.blobs()
+    orientation = refine_orientation(seen, estimate_orientation(frames.name, seen, pp), blobs)
     camera = replace(orientation.camera, name=frames.name)
-    scale = None if estimate_scale is None else estimate_scale(camera, seen)
+    scale = None if estimate_scale is None else estimate_scale(camera, blobs)
     if scale is not None:
         camera = replace(camera, scale=scale.scale)
-    return Calibration(camera, orientation, scale, seen)
+    return Calibration(camera, orientation, scale, seen, blobs)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from labelgen.calibrate.blobs import BlobCollector
-from labelgen.calibrate.observe import Collector, Observations
+from labelgen.calibrate.blobs import Blob
 from labelgen.calibrate.scale import ScaleEstimate
 from labelgen.calibrate.scale_dimensions import MEAN_VEHICLE_M, scale_from_dimensions
 from labelgen.calibrate.scale_distances import parse_distance, scale_from_distances
@@ -27,17 +26,16 @@ class ScaleWay:
 
     Args:
         name: as asked for.
-        collectors: what must ride on the pass over the video.
-        estimate: from the camera to the scale; CalibrationError when the video cannot carry it.
+        estimate: from the camera and the silhouettes of vehicles to the scale; CalibrationError when the video cannot
+            carry it.
     """
 
     name: str
-    collectors: tuple[Collector, ...]
-    estimate: Callable[[Camera], ScaleEstimate]
+    estimate: Callable[[Camera, Sequence[Blob]], ScaleEstimate]
 
-    def __call__(self, camera: Camera, seen: Observations) -> ScaleEstimate:
-        """The scale of a camera; what was seen otherwise does not count."""
-        return self.estimate(camera)
+    def __call__(self, camera: Camera, blobs: Sequence[Blob]) -> ScaleEstimate:
+        """The scale of a camera."""
+        return self.estimate(camera, blobs)
 
 
 def scale_way(texts: Sequence[str]) -> ScaleWay:
@@ -52,16 +50,15 @@ def scale_way(texts: Sequence[str]) -> ScaleWay:
     kinds = [text.partition(":")[::2] for text in texts]
     if kinds and all(kind in ("distance", "lane") for kind, _ in kinds):
         known = [parse_distance(rest, across=kind == "lane") for kind, rest in kinds]
-        return ScaleWay("distance", (), lambda camera: scale_from_distances(camera, known))
+        return ScaleWay("distance", lambda camera, _: scale_from_distances(camera, known))
     if len(kinds) != 1:
         raise CalibrationError(f"--scale {' --scale '.join(texts)}: give one way, or known distances; {SCALE_WAYS}")
     kind, rest = kinds[0]
-    blobs = BlobCollector()
     if kind == "auto-models" and not rest:
-        return ScaleWay(kind, (blobs,), lambda camera: scale_from_models(camera, blobs.blobs()))
+        return ScaleWay(kind, scale_from_models)
     if kind == "auto-dimensions":
         mean = _sizes(rest) if rest else MEAN_VEHICLE_M
-        return ScaleWay(kind, (blobs,), lambda camera: scale_from_dimensions(camera, blobs.blobs(), mean_m=mean))
+        return ScaleWay(kind, lambda camera, blobs: scale_from_dimensions(camera, blobs, mean_m=mean))
     raise CalibrationError(f"--scale {texts[0]}: unknown way; use {SCALE_WAYS}")
 
 

@@ -208,18 +208,21 @@ def test_distances_that_cannot_be_measured() -> None:
 
 
 @pytest.mark.parametrize(
-    ("texts", "name", "collectors"),
+    ("texts", "name"),
     [
-        (["auto-models"], "auto-models", 1),
-        (["auto-dimensions"], "auto-dimensions", 1),
-        (["auto-dimensions:4.5,1.8,1.6"], "auto-dimensions", 1),
-        (["distance:1,2,3,400,5"], "distance", 0),
-        (["distance:1,2,3,400,5", "lane:1,2,3,400,3.5"], "distance", 0),
+        (["auto-models"], "auto-models"),
+        (["auto-dimensions"], "auto-dimensions"),
+        (["auto-dimensions:4.5,1.8,1.6"], "auto-dimensions"),
+        (["distance:600,1000,640,700,5"], "distance"),
+        (["distance:600,1000,640,700,5", "lane:600,1000,1400,1000,3.5"], "distance"),
     ],
 )
-def test_ways_by_name(texts: list[str], name: str, collectors: int) -> None:
+def test_ways_by_name(texts: list[str], name: str) -> None:
+    camera = make_camera()
     way = scale_way(texts)
-    assert (way.name, len(way.collectors)) == (name, collectors)
+    found = way(replace(camera, scale=None), vehicle_blobs(camera, 40))
+    assert (way.name, found.method) == (name, name)
+    assert found.scale > 0
 
 
 @pytest.mark.parametrize(
