@@ -10,13 +10,16 @@ masts sway.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BackgroundModel", "is_ghost", "lightness", "strongest"]
+from labelgen.masks.patches import Box, boxes_around
+
+__all__ = ["BackgroundModel", "Difference", "is_ghost", "lightness", "slope", "strongest"]
 
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -39,6 +42,48 @@ _STILL_GHOST = 8
 _STILL_FOREVER = 120
 _STILL_LEVELS = 8
 _TYPICAL_SHADOW = 0.55
+# Differences in whole grey levels, between rounded pictures, are off by at most this.
+_ROUNDING_LEVELS = 2
+_GAINS = (0.7, 1.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A part of an image in which it may differ from the empty scene; elsewhere it does not.
+
+    Args:
+        box: where the part lies.
+        open_sides: whether the frame goes on above, below, to the left and to the right of it; if so it does not
+            differ within `labelgen.masks.patches.MARGIN_PX` of that side.
+        smooth: (h, w, 3) float32, the image, slightly smoothed.
+        expected: (h, w, 3) float32, the empty scene, as smooth, at the exposure of the image.
+        amount: (h, w) float32 by how much they differ, grey levels.
+        threshold: (h, w) float32, what neither flicker nor sway explains.
+    """
+
+    box: Box
+    open_sides: tuple[bool, bool, bool, bool]
+    smooth: Plane
+    expected: Plane
+    amount: Plane
+    threshold: Plane
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """The empty scene as images are compared with it.
+
+    Args:
+        smooth: (H, W, 3) float32, slightly smoothed.
+        levels: the same in whole grey levels.
+        quiet: (H, W, 3) uint8, differences in whole grey levels up to which nothing has changed for sure.
+        sample: (3, N) float32, some of the background's pixels.
+    """
+
+    smooth: Plane
+    levels: Image
+    quiet: Image
+    sample: Plane
 
 
 class BackgroundModel:
@@ -58,6 +103,7 @@ class BackgroundModel:
         self._still: NDArray[np.uint8] | None = None
         self._observed = 0
         self._sways = False
+        self._reference: _Reference | None = None
 
     def prime(self, images: Iterable[Image]) -> None:
         """Learn the scene from the beginning of a video, thinned evenly to a few dozen images."""
@@ -81,6 +127,7 @@ class BackgroundModel:
         self.background = background
         self._noise = np.asarray(cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5)), dtype=np.float32)
         self._edges = _edges(background)
+        self._reference = None
         self.shadow = self._shadow_level(stack[:: max(1, len(stack) // 24)])
 
     def observe(self, image: Image) -> None:
@@ -110,6 +157,7 @@ class BackgroundModel:
         if self._observed % _STILL_GHOST == 0:
             self._absorb(image)
             self._edges = _edges(self.background)
+        self._reference = None
 
     def align(self, image: Image) -> tuple[Image, tuple[int, int]]:
         """The image moved onto the model by whole pixels, and by how many (x, y) it was moved."""
@@ -132,31 +180,58 @@ class BackgroundModel:
         moved[to_y, to_x] = image[from_y, from_x]
         return moved, shift
 
-    def expected(self, image: Image) -> Plane:
-        """(H, W, 3) the slightly smoothed background at the exposure of an image, which cameras keep changing."""
-        assert self.background is not None
-        now, then = image[::4, ::4].reshape(-1, 3).astype(np.float32), self.background[::4, ::4].reshape(-1, 3)
-        gains = np.clip(np.median((now + 8) / (then + 8), axis=0), 0.7, 1.4).astype(np.float32)
-        return np.asarray(cv2.blur(self.background * gains, (3, 3)), dtype=np.float32)
-
-    def threshold(self, expected: Plane) -> Plane:
-        """(H, W) difference, in grey levels, that neither flicker nor sway explains."""
-        assert self._noise is not None
-        steep = cv2.dilate(_slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
-        limit = np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * steep
-        return np.asarray(limit, dtype=np.float32)
+    def differences(self, image: Image) -> list[Difference]:
+        """Where an aligned image may differ from the empty scene, and how it does."""
+        reference = self._compared_with()
+        gains = self._gains(image, reference)
+        smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.uint8)
+        levels = np.clip(np.rint(np.arange(256, dtype=np.float32)[:, None] * gains), 0, 255).astype(np.uint8)
+        away = cv2.absdiff(smooth, cv2.LUT(reference.levels, levels[None]))
+        boxes = boxes_around(np.asarray(cv2.subtract(away, reference.quiet), dtype=np.uint8))
+        return [self._difference(box, smooth, reference, gains) for box in boxes]
 
     def changed(self, image: Image) -> BoolMask:
         """(H, W) which pixels of an aligned image differ from the background."""
-        expected = self.expected(image)
-        smooth = cv2.blur(image, (3, 3)).astype(np.float32)
-        return np.asarray(strongest(cv2.absdiff(smooth, expected)) > self.threshold(expected))
+        changed = np.zeros(image.shape[:2], dtype=np.bool_)
+        for part in self.differences(image):
+            changed[part.box] = part.amount > part.threshold
+        return changed
+
+    def _compared_with(self) -> _Reference:
+        if self._reference is None:
+            assert self.background is not None
+            assert self._noise is not None
+            smooth = np.asarray(cv2.blur(self.background, (3, 3)), dtype=np.float32)
+            quiet = (self._limit(np.s_[:, :]) - _ROUNDING_LEVELS).astype(np.uint8)
+            sample = np.ascontiguousarray(self.background[::4, ::4].reshape(-1, 3).T)
+            self._reference = _Reference(smooth, np.rint(smooth).astype(np.uint8), cv2.merge([quiet] * 3), sample)
+        return self._reference
+
+    def _gains(self, image: Image, reference: _Reference) -> Plane:
+        """(3,) exposure of an image, which cameras keep changing, relative to the background's."""
+        now = np.ascontiguousarray(image[::4, ::4].reshape(-1, 3).T).astype(np.float32)
+        return np.clip(np.median((now + 8) / (reference.sample + 8), axis=1), *_GAINS).astype(np.float32)
+
+    def _difference(self, box: Box, smooth: Image, reference: _Reference, gains: Plane) -> Difference:
+        seen, expected = smooth[box].astype(np.float32), reference.smooth[box] * gains
+        amount = strongest(cv2.absdiff(seen, expected))
+        steep = cv2.dilate(slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
+        threshold = np.asarray(self._limit(box) + _SWAY_PX[self._sways] * steep, dtype=np.float32)
+        rows, columns = box
+        height, width = smooth.shape[:2]
+        sides = (rows.start > 0, rows.stop < height, columns.start > 0, columns.stop < width)
+        return Difference(box, sides, seen, expected, amount, threshold)
+
+    def _limit(self, box: Box) -> Plane:
+        """(h, w) difference, in grey levels, that flicker does not explain."""
+        assert self._noise is not None
+        return np.maximum(np.float32(_CHANGE_LEVELS), np.float32(_CHANGE_SIGMAS) * self._noise[box])
 
     def _begin(self, image: Image) -> None:
         self.background = image.astype(np.float32)
         self._noise = np.full(image.shape[:2], 3.0, dtype=np.float32)
         self._edges = _edges(self.background)
-        self._previous = None
+        self._previous = self._reference = None
 
     def _absorb(self, image: Image) -> None:
         assert self._still is not None
@@ -178,15 +253,14 @@ class BackgroundModel:
         """Most frequent brightness, relative to the scene, of what is flat, dark and of the scene's colour."""
         counts = np.zeros(20, dtype=np.int64)
         for image in images:
-            expected = self.expected(image)
-            smooth = cv2.blur(image, (3, 3)).astype(np.float32)
-            changed = self.changed(image)
-            light = lightness(smooth)
-            ratio = (light + 4) / (lightness(expected) + 4)
-            inside = cv2.erode(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-            colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
-            flat = inside & (_slope(light) < 22) & (colour < 10)
-            counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
+            for part in self.differences(image):
+                light = lightness(part.smooth)
+                ratio = (light + 4) / (lightness(part.expected) + 4)
+                changed = (part.amount > part.threshold).view(np.uint8)
+                inside = cv2.erode(changed, np.ones((5, 5), np.uint8)) > 0
+                colour = strongest(cv2.absdiff(part.smooth, part.expected * ratio[..., None]))
+                flat = inside & (slope(light) < 22) & (colour < 10)
+                counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
         if counts.sum() < 200:
             return _TYPICAL_SHADOW
         smoothed = np.convolve(counts, [1, 2, 1], mode="same")
@@ -217,19 +291,19 @@ def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
         return False
     strengths = []
     for picture in (image, background):
-        strengths.append(_slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
+        strengths.append(slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
     return bool(strengths[1] > 1.5 * strengths[0])
 
 
 def _edges(picture: Plane) -> Plane:
     """Edge strength at half size, strong edges cut off so that vehicles do not lead the alignment."""
     half = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    return np.minimum(_slope(lightness(half)), 80)
+    return np.minimum(slope(lightness(half)), 80)
 
 
-def _slope(grey: Plane) -> Plane:
+def slope(grey: Plane) -> Plane:
     """Length of the gradient, 8 times grey levels per px."""
-    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.asarray(cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)))
 
 
 def _mode(stack: Image) -> tuple[Plane, Plane]:
