@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.masks.ordering import in_order
 from labelgen.masks.patches import Box, boxes_around
 
 __all__ = ["BackgroundModel", "Difference", "is_ghost", "lightness", "slope", "strongest"]
@@ -28,6 +29,8 @@ BoolMask = NDArray[np.bool_]
 _SAMPLES = 64
 # Half of what is seen of a pixel may be vehicles: the mode is sought in the densest 40 % of the samples.
 _MODE_SHARE = 0.4
+# So many rows of all samples together are at hand for the processor.
+_BAND = 16
 _NOISE_RANGE = (1.5, 12.0)
 # A pixel has changed from this difference on: in grey levels, in multiples of the pixel's flicker, and in pixels of
 # sway that moving the images has not undone; a camera that sways does so by more than a fixed one.
@@ -121,9 +124,9 @@ class BackgroundModel:
         self._begin(samples[len(samples) // 2])
         stack = np.stack([self.align(image)[0] for image in samples])
         background, noise = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:3], np.float32)
-        for row in range(0, stack.shape[1], 32):
-            mode, spread = _mode(stack[:, row : row + 32])
-            background[row : row + 32], noise[row : row + 32] = mode, spread
+        for row in range(0, stack.shape[1], _BAND):
+            mode, spread = _mode(stack[:, row : row + _BAND])
+            background[row : row + _BAND], noise[row : row + _BAND] = mode, spread
         self.background = background
         self._noise = np.asarray(cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5)), dtype=np.float32)
         self._edges = _edges(background)
@@ -308,7 +311,7 @@ def slope(grey: Plane) -> Plane:
 
 def _mode(stack: Image) -> tuple[Plane, Plane]:
     """Mode and spread of samples (n, h, w, 3): the middle of the shortest interval that holds a share of them."""
-    ordered = np.sort(stack, axis=0)
+    ordered = in_order(stack)
     n = len(ordered)
     held = max(1, round(n * _MODE_SHARE))
     widths = ordered[held - 1 :] - ordered[: n - held + 1]

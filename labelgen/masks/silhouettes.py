@@ -240,15 +240,45 @@ def _cut(
         return None
     if defects is None:
         return None
-    n = len(contour)
     defects = defects.reshape(-1, 4)  # (N, 1, 4) before OpenCV 5
     deepest = defects[np.argsort(-defects[:, 3], kind="stable")][:2]
     best, best_sum = None, (1 - gain) * whole
     for start in (int(d[2]) for d in deepest if d[3] / 256 > 2):
-        rolled = np.roll(contour, -start, axis=0)
-        for k in range(n // 10, n - n // 10, max(1, n // 48)):
-            one, two = rolled[: k + 1], np.concatenate([rolled[k:], rolled[:1]])
-            hulls = cv2.contourArea(cv2.convexHull(one)) + cv2.contourArea(cv2.convexHull(two))
-            if hulls < best_sum and min(cv2.contourArea(one), cv2.contourArea(two)) >= _CUT_SHARE * area:
-                best, best_sum = (one, two), hulls
+        better = _cut_from(np.concatenate([contour[start:], contour[: start + 1]]), _CUT_SHARE * area, best_sum)
+        if better is not None:
+            best, best_sum = better
     return best
+
+
+def _cut_from(
+    ring: NDArray[np.int32], least_area: float, limit: float
+) -> tuple[tuple[NDArray[np.int32], NDArray[np.int32]], float] | None:
+    """The halves along the best cut from the first point of a closed contour (K + 1, 1, 2), and their hulls' area.
+
+    Their hulls' area must be below the limit. As the other end of the cut moves on, the first half's hull only grows
+    and the second one's only shrinks: that bounds what lies between two ends, and few need to be tried.
+    """
+    n = len(ring) - 1
+    ends = range(n // 10, n - n // 10, max(1, n // 48))
+    if not ends:
+        return None
+    best: int | None = None
+
+    def tried(i: int) -> tuple[float, float]:
+        nonlocal best, limit
+        halves = ring[: ends[i] + 1], ring[ends[i] :]
+        one, two = (cv2.contourArea(cv2.convexHull(half)) for half in halves)
+        if one + two < limit or (one + two == limit and best is not None and i < best):
+            if min(cv2.contourArea(half) for half in halves) >= least_area:
+                best, limit = i, one + two
+        return one, two
+
+    spans = [(0, len(ends) - 1, tried(0)[0], tried(len(ends) - 1)[1])]
+    while spans:
+        first, last, low_one, low_two = spans.pop()
+        if last - first < 2 or low_one + low_two > limit:
+            continue
+        middle = (first + last) // 2
+        one, two = tried(middle)
+        spans += [(first, middle, low_one, two), (middle, last, one, low_two)]
+    return None if best is None else ((ring[: ends[best] + 1], ring[ends[best] :]), limit)
