@@ -168,7 +168,8 @@ class BackgroundModel:
         assert self.background is not None
         here = _edges(image.astype(np.float32))
         window = cv2.createHanningWindow((here.shape[1], here.shape[0]), cv2.CV_32F)
-        (dx, dy), response = cv2.phaseCorrelate(here, self._edges, window)
+        # OpenCV multiplies what it is given by the window, in place, where the size suits its Fourier transform.
+        (dx, dy), response = cv2.phaseCorrelate(here, self._edges.copy(), window)
         low, high = _SHIFT_RANGE
         distance = float(np.hypot(dx, dy)) * 2
         if response < _SHIFT_RESPONSE or not low <= distance <= high:
