@@ -38,7 +38,7 @@ _CHANGE_LEVELS = 12.0
 _CHANGE_SIGMAS = 4.0
 _SWAY_PX = {False: 0.05, True: 0.3}
 # A shift between image and model is believed if the correlation peak is this clear and the shift of this size, px.
-_SHIFT_RESPONSE = 0.5
+_SHIFT_RESPONSE = 0.4
 _SHIFT_RANGE = (0.7, 24.0)
 # Observations of standing still until a ghost, and until anything, becomes background.
 _STILL_GHOST = 8
@@ -208,13 +208,15 @@ class BackgroundModel:
             smooth = np.asarray(cv2.blur(self.background, (3, 3)), dtype=np.float32)
             quiet = (self._limit(np.s_[:, :]) - _ROUNDING_LEVELS).astype(np.uint8)
             sample = np.ascontiguousarray(self.background[::4, ::4].reshape(-1, 3).T)
-            self._reference = _Reference(smooth, np.rint(smooth).astype(np.uint8), cv2.merge([quiet] * 3), sample)
+            quiet = np.repeat(quiet[..., None], 3, axis=2)
+            self._reference = _Reference(smooth, np.rint(smooth).astype(np.uint8), quiet, sample)
         return self._reference
 
     def _gains(self, image: Image, reference: _Reference) -> Plane:
         """(3,) exposure of an image, which cameras keep changing, relative to the background's."""
         now = np.ascontiguousarray(image[::4, ::4].reshape(-1, 3).T).astype(np.float32)
-        return np.clip(np.median((now + 8) / (reference.sample + 8), axis=1), *_GAINS).astype(np.float32)
+        gains: Plane = np.clip(np.median((now + 8) / (reference.sample + 8), axis=1), *_GAINS).astype(np.float32)
+        return gains
 
     def _difference(self, box: Box, smooth: Image, reference: _Reference, gains: Plane) -> Difference:
         seen, expected = smooth[box].astype(np.float32), reference.smooth[box] * gains
@@ -229,7 +231,7 @@ class BackgroundModel:
     def _limit(self, box: Box) -> Plane:
         """(h, w) difference, in grey levels, that flicker does not explain."""
         assert self._noise is not None
-        return np.maximum(np.float32(_CHANGE_LEVELS), np.float32(_CHANGE_SIGMAS) * self._noise[box])
+        return np.asarray(np.maximum(np.float32(_CHANGE_LEVELS), np.float32(_CHANGE_SIGMAS) * self._noise[box]))
 
     def _begin(self, image: Image) -> None:
         self.background = image.astype(np.float32)

@@ -46,7 +46,9 @@ def _disjoint(boxes: list[tuple[int, int, int, int]]) -> list[tuple[int, int, in
     done: list[tuple[int, int, int, int]] = []
     while boxes:
         box = boxes.pop(0)
-        hit = next((b for b in done if max(b[0], box[0]) < min(b[2], box[2]) and max(b[1], box[1]) < min(b[3], box[3])), None)
+        hit = next(
+            (b for b in done if max(b[0], box[0]) < min(b[2], box[2]) and max(b[1], box[1]) < min(b[3], box[3])), None
+        )
         if hit is None:
             done.append(box)
             continue

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -74,10 +75,7 @@ def _in_part(part: Evidence, image: Image, model: BackgroundModel, min_area: flo
     assert model.background is not None
     joined = filled(morph(part.changed, cv2.MORPH_CLOSE, 5))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
-    labels, vehicle, dark, shade = (
-        cv2.copyMakeBorder(m, _PAD, _PAD, _PAD, _PAD, cv2.BORDER_CONSTANT, value=0)
-        for m in (labels, part.vehicle, part.dark, part.shade)
-    )
+    labels, vehicle, dark, shade = (_padded(m) for m in (labels, part.vehicle, part.dark, part.shade))
     top, left = part.box[0].start, part.box[1].start
     found: list[Silhouette] = []
     for i in range(1, count):
@@ -96,6 +94,10 @@ def _in_part(part: Evidence, image: Image, model: BackgroundModel, min_area: flo
             seen = cv2.countNonZero(part.changed[py : py + ph, px : px + pw] & crop)
             found.append(Silhouette(origin, crop > 0, seen / cv2.countNonZero(crop)))
     return found
+
+
+def _padded(picture: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(cv2.copyMakeBorder(picture, _PAD, _PAD, _PAD, _PAD, cv2.BORDER_CONSTANT, value=0))
 
 
 def _is_ghost(crop: Mask, origin: tuple[int, int], image: Image, background: Plane) -> bool:
@@ -268,9 +270,9 @@ def _cut_from(
         nonlocal best, limit
         halves = ring[: ends[i] + 1], ring[ends[i] :]
         one, two = (cv2.contourArea(cv2.convexHull(half)) for half in halves)
-        if one + two < limit or (one + two == limit and best is not None and i < best):
-            if min(cv2.contourArea(half) for half in halves) >= least_area:
-                best, limit = i, one + two
+        better = one + two < limit or (one + two == limit and best is not None and i < best)
+        if better and min(cv2.contourArea(half) for half in halves) >= least_area:
+            best, limit = i, one + two
         return one, two
 
     spans = [(0, len(ends) - 1, tried(0)[0], tried(len(ends) - 1)[1])]
