@@ -6,10 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.masks.ordering import in_order
+
 __all__ = ["Backdrop"]
 
 Image = NDArray[np.uint8]
 _KEPT, _SAMPLES = 40, 15
+_BAND = 16
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 95]
 
 
@@ -32,6 +35,6 @@ class Backdrop:
         chosen = self._kept[:: max(1, -(-count // _SAMPLES))]
         stack = np.stack([np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), dtype=np.uint8) for packed in chosen])
         out = np.empty(stack.shape[1:], dtype=np.uint8)
-        for row in range(0, len(out), 64):
-            out[row : row + 64] = np.partition(stack[:, row : row + 64], len(chosen) // 2, axis=0)[len(chosen) // 2]
+        for row in range(0, len(out), _BAND):
+            out[row : row + _BAND] = in_order(stack[:, row : row + _BAND])[len(chosen) // 2]
         return out

@@ -18,8 +18,10 @@ from labelgen.masks.silhouettes import Silhouette, find_silhouettes
 
 __all__ = ["BackgroundMasks"]
 
-# All frames are worked on at this width: the clean-up works in pixels, and silhouettes gain nothing from more.
+# All frames are worked on at this width: the clean-up works in pixels, and silhouettes gain nothing from more. What
+# would become lower or higher than this is stretched to it: slivers have no silhouettes, but must not fill the memory.
 _WORKING_WIDTH = 640
+_WORKING_HEIGHTS = (16, 2560)
 # A vehicle stands on the lowest part of its silhouette, of this share of its height.
 _FOOT_SHARE = 0.2
 _FOOT_MARGIN_SHARE = 0.01
@@ -74,9 +76,10 @@ class BackgroundMasks:
                 f"road mask: it is {self._road.shape[1]}x{self._road.shape[0]} px, but the frames are {w}x{h}; "
                 "give a mask of the frame's size"
             )
-        if w == _WORKING_WIDTH:
+        low, high = _WORKING_HEIGHTS
+        size = (_WORKING_WIDTH, min(max(low, round(h * _WORKING_WIDTH / w)), high))
+        if size == (w, h):
             return image
-        size = (_WORKING_WIDTH, max(1, round(h * _WORKING_WIDTH / w)))
         how = cv2.INTER_AREA if w > _WORKING_WIDTH else cv2.INTER_CUBIC
         return np.asarray(cv2.resize(image, size, interpolation=how), dtype=np.uint8)
 

@@ -10,13 +10,17 @@ masts sway.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BackgroundModel", "is_ghost", "lightness", "strongest"]
+from labelgen.masks.ordering import in_order
+from labelgen.masks.patches import Box, boxes_around
+
+__all__ = ["BackgroundModel", "Difference", "is_ghost", "lightness", "slope", "strongest"]
 
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -25,6 +29,8 @@ BoolMask = NDArray[np.bool_]
 _SAMPLES = 64
 # Half of what is seen of a pixel may be vehicles: the mode is sought in the densest 40 % of the samples.
 _MODE_SHARE = 0.4
+# So many rows of all samples together are at hand for the processor.
+_BAND = 16
 _NOISE_RANGE = (1.5, 12.0)
 # A pixel has changed from this difference on: in grey levels, in multiples of the pixel's flicker, and in pixels of
 # sway that moving the images has not undone; a camera that sways does so by more than a fixed one.
@@ -32,13 +38,55 @@ _CHANGE_LEVELS = 12.0
 _CHANGE_SIGMAS = 4.0
 _SWAY_PX = {False: 0.05, True: 0.3}
 # A shift between image and model is believed if the correlation peak is this clear and the shift of this size, px.
-_SHIFT_RESPONSE = 0.5
+_SHIFT_RESPONSE = 0.4
 _SHIFT_RANGE = (0.7, 24.0)
 # Observations of standing still until a ghost, and until anything, becomes background.
 _STILL_GHOST = 8
 _STILL_FOREVER = 120
 _STILL_LEVELS = 8
 _TYPICAL_SHADOW = 0.55
+# Differences in whole grey levels, between rounded pictures, are off by at most this.
+_ROUNDING_LEVELS = 2
+_GAINS = (0.7, 1.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A part of an image in which it may differ from the empty scene; elsewhere it does not.
+
+    Args:
+        box: where the part lies.
+        open_sides: whether the frame goes on above, below, to the left and to the right of it; if so it does not
+            differ within `labelgen.masks.patches.MARGIN_PX` of that side.
+        smooth: (h, w, 3) float32, the image, slightly smoothed.
+        expected: (h, w, 3) float32, the empty scene, as smooth, at the exposure of the image.
+        amount: (h, w) float32 by how much they differ, grey levels.
+        threshold: (h, w) float32, what neither flicker nor sway explains.
+    """
+
+    box: Box
+    open_sides: tuple[bool, bool, bool, bool]
+    smooth: Plane
+    expected: Plane
+    amount: Plane
+    threshold: Plane
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """The empty scene as images are compared with it.
+
+    Args:
+        smooth: (H, W, 3) float32, slightly smoothed.
+        levels: the same in whole grey levels.
+        quiet: (H, W, 3) uint8, differences in whole grey levels up to which nothing has changed for sure.
+        sample: (3, N) float32, some of the background's pixels.
+    """
+
+    smooth: Plane
+    levels: Image
+    quiet: Image
+    sample: Plane
 
 
 class BackgroundModel:
@@ -58,6 +106,7 @@ class BackgroundModel:
         self._still: NDArray[np.uint8] | None = None
         self._observed = 0
         self._sways = False
+        self._reference: _Reference | None = None
 
     def prime(self, images: Iterable[Image]) -> None:
         """Learn the scene from the beginning of a video, thinned evenly to a few dozen images."""
@@ -75,12 +124,13 @@ class BackgroundModel:
         self._begin(samples[len(samples) // 2])
         stack = np.stack([self.align(image)[0] for image in samples])
         background, noise = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:3], np.float32)
-        for row in range(0, stack.shape[1], 32):
-            mode, spread = _mode(stack[:, row : row + 32])
-            background[row : row + 32], noise[row : row + 32] = mode, spread
+        for row in range(0, stack.shape[1], _BAND):
+            mode, spread = _mode(stack[:, row : row + _BAND])
+            background[row : row + _BAND], noise[row : row + _BAND] = mode, spread
         self.background = background
         self._noise = np.asarray(cv2.blur(np.clip(noise, *_NOISE_RANGE), (5, 5)), dtype=np.float32)
         self._edges = _edges(background)
+        self._reference = None
         self.shadow = self._shadow_level(stack[:: max(1, len(stack) // 24)])
 
     def observe(self, image: Image) -> None:
@@ -110,6 +160,7 @@ class BackgroundModel:
         if self._observed % _STILL_GHOST == 0:
             self._absorb(image)
             self._edges = _edges(self.background)
+        self._reference = None
 
     def align(self, image: Image) -> tuple[Image, tuple[int, int]]:
         """The image moved onto the model by whole pixels, and by how many (x, y) it was moved."""
@@ -117,7 +168,8 @@ class BackgroundModel:
         assert self.background is not None
         here = _edges(image.astype(np.float32))
         window = cv2.createHanningWindow((here.shape[1], here.shape[0]), cv2.CV_32F)
-        (dx, dy), response = cv2.phaseCorrelate(here, self._edges, window)
+        # OpenCV multiplies what it is given by the window, in place, where the size suits its Fourier transform.
+        (dx, dy), response = cv2.phaseCorrelate(here, self._edges.copy(), window)
         low, high = _SHIFT_RANGE
         distance = float(np.hypot(dx, dy)) * 2
         if response < _SHIFT_RESPONSE or not low <= distance <= high:
@@ -132,31 +184,60 @@ class BackgroundModel:
         moved[to_y, to_x] = image[from_y, from_x]
         return moved, shift
 
-    def expected(self, image: Image) -> Plane:
-        """(H, W, 3) the slightly smoothed background at the exposure of an image, which cameras keep changing."""
-        assert self.background is not None
-        now, then = image[::4, ::4].reshape(-1, 3).astype(np.float32), self.background[::4, ::4].reshape(-1, 3)
-        gains = np.clip(np.median((now + 8) / (then + 8), axis=0), 0.7, 1.4).astype(np.float32)
-        return np.asarray(cv2.blur(self.background * gains, (3, 3)), dtype=np.float32)
-
-    def threshold(self, expected: Plane) -> Plane:
-        """(H, W) difference, in grey levels, that neither flicker nor sway explains."""
-        assert self._noise is not None
-        steep = cv2.dilate(_slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
-        limit = np.maximum(_CHANGE_LEVELS, _CHANGE_SIGMAS * self._noise) + _SWAY_PX[self._sways] * steep
-        return np.asarray(limit, dtype=np.float32)
+    def differences(self, image: Image) -> list[Difference]:
+        """Where an aligned image may differ from the empty scene, and how it does."""
+        reference = self._compared_with()
+        gains = self._gains(image, reference)
+        smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.uint8)
+        levels = np.clip(np.rint(np.arange(256, dtype=np.float32)[:, None] * gains), 0, 255).astype(np.uint8)
+        away = cv2.absdiff(smooth, cv2.LUT(reference.levels, levels[None]))
+        boxes = boxes_around(np.asarray(cv2.subtract(away, reference.quiet), dtype=np.uint8))
+        return [self._difference(box, smooth, reference, gains) for box in boxes]
 
     def changed(self, image: Image) -> BoolMask:
         """(H, W) which pixels of an aligned image differ from the background."""
-        expected = self.expected(image)
-        smooth = cv2.blur(image, (3, 3)).astype(np.float32)
-        return np.asarray(strongest(cv2.absdiff(smooth, expected)) > self.threshold(expected))
+        changed = np.zeros(image.shape[:2], dtype=np.bool_)
+        for part in self.differences(image):
+            changed[part.box] = part.amount > part.threshold
+        return changed
+
+    def _compared_with(self) -> _Reference:
+        if self._reference is None:
+            assert self.background is not None
+            assert self._noise is not None
+            smooth = np.asarray(cv2.blur(self.background, (3, 3)), dtype=np.float32)
+            quiet = (self._limit(np.s_[:, :]) - _ROUNDING_LEVELS).astype(np.uint8)
+            sample = np.ascontiguousarray(self.background[::4, ::4].reshape(-1, 3).T)
+            quiet = np.repeat(quiet[..., None], 3, axis=2)
+            self._reference = _Reference(smooth, np.rint(smooth).astype(np.uint8), quiet, sample)
+        return self._reference
+
+    def _gains(self, image: Image, reference: _Reference) -> Plane:
+        """(3,) exposure of an image, which cameras keep changing, relative to the background's."""
+        now = np.ascontiguousarray(image[::4, ::4].reshape(-1, 3).T).astype(np.float32)
+        gains: Plane = np.clip(np.median((now + 8) / (reference.sample + 8), axis=1), *_GAINS).astype(np.float32)
+        return gains
+
+    def _difference(self, box: Box, smooth: Image, reference: _Reference, gains: Plane) -> Difference:
+        seen, expected = smooth[box].astype(np.float32), reference.smooth[box] * gains
+        amount = strongest(cv2.absdiff(seen, expected))
+        steep = cv2.dilate(slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
+        threshold = np.asarray(self._limit(box) + _SWAY_PX[self._sways] * steep, dtype=np.float32)
+        rows, columns = box
+        height, width = smooth.shape[:2]
+        sides = (rows.start > 0, rows.stop < height, columns.start > 0, columns.stop < width)
+        return Difference(box, sides, seen, expected, amount, threshold)
+
+    def _limit(self, box: Box) -> Plane:
+        """(h, w) difference, in grey levels, that flicker does not explain."""
+        assert self._noise is not None
+        return np.asarray(np.maximum(np.float32(_CHANGE_LEVELS), np.float32(_CHANGE_SIGMAS) * self._noise[box]))
 
     def _begin(self, image: Image) -> None:
         self.background = image.astype(np.float32)
         self._noise = np.full(image.shape[:2], 3.0, dtype=np.float32)
         self._edges = _edges(self.background)
-        self._previous = None
+        self._previous = self._reference = None
 
     def _absorb(self, image: Image) -> None:
         assert self._still is not None
@@ -178,15 +259,14 @@ class BackgroundModel:
         """Most frequent brightness, relative to the scene, of what is flat, dark and of the scene's colour."""
         counts = np.zeros(20, dtype=np.int64)
         for image in images:
-            expected = self.expected(image)
-            smooth = cv2.blur(image, (3, 3)).astype(np.float32)
-            changed = self.changed(image)
-            light = lightness(smooth)
-            ratio = (light + 4) / (lightness(expected) + 4)
-            inside = cv2.erode(changed.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-            colour = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
-            flat = inside & (_slope(light) < 22) & (colour < 10)
-            counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
+            for part in self.differences(image):
+                light = lightness(part.smooth)
+                ratio = (light + 4) / (lightness(part.expected) + 4)
+                changed = (part.amount > part.threshold).view(np.uint8)
+                inside = cv2.erode(changed, np.ones((5, 5), np.uint8)) > 0
+                colour = strongest(cv2.absdiff(part.smooth, part.expected * ratio[..., None]))
+                flat = inside & (slope(light) < 22) & (colour < 10)
+                counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
         if counts.sum() < 200:
             return _TYPICAL_SHADOW
         smoothed = np.convolve(counts, [1, 2, 1], mode="same")
@@ -217,24 +297,24 @@ def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
         return False
     strengths = []
     for picture in (image, background):
-        strengths.append(_slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
+        strengths.append(slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
     return bool(strengths[1] > 1.5 * strengths[0])
 
 
 def _edges(picture: Plane) -> Plane:
     """Edge strength at half size, strong edges cut off so that vehicles do not lead the alignment."""
     half = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    return np.minimum(_slope(lightness(half)), 80)
+    return np.minimum(slope(lightness(half)), 80)
 
 
-def _slope(grey: Plane) -> Plane:
+def slope(grey: Plane) -> Plane:
     """Length of the gradient, 8 times grey levels per px."""
-    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.asarray(cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)))
 
 
 def _mode(stack: Image) -> tuple[Plane, Plane]:
     """Mode and spread of samples (n, h, w, 3): the middle of the shortest interval that holds a share of them."""
-    ordered = np.sort(stack, axis=0)
+    ordered = in_order(stack)
     n = len(ordered)
     held = max(1, round(n * _MODE_SHARE))
     widths = ordered[held - 1 :] - ordered[: n - held + 1]

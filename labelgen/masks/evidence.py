@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.masks.background_model import BackgroundModel, lightness, strongest
+from labelgen.masks.background_model import Difference, lightness, slope, strongest
 from labelgen.masks.morphology import Mask, disc, morph
+from labelgen.masks.patches import Box
 
 __all__ = ["RIM", "Evidence", "find_evidence"]
 
-Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
 RIM = 2
@@ -40,28 +40,32 @@ _SHADE, _SHADE_SLOPE = 0.45, 0.025
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Maps of one image; masks are (H, W) uint8 of 0 and 1.
+    """Maps of a part of one image; masks are (h, w) uint8 of 0 and 1.
 
     Args:
+        box: where the part lies.
         changed: what differs from the empty scene and is no soft shadow.
         vehicle: those of them that no shadow explains.
         dark: those of them that are dark.
-        shade: (H, W) float32, by which share a pixel is darker than the empty scene; -1 where it is brighter,
+        shade: (h, w) float32, by which share a pixel is darker than the empty scene; -1 where it is brighter,
             of another colour, or textured.
     """
 
+    box: Box
     changed: Mask
     vehicle: Mask
     dark: Mask
     shade: Plane
 
 
-def find_evidence(image: Image, model: BackgroundModel) -> Evidence:
-    """The evidence in an image (H, W, 3) uint8 BGR that lies on the model (`BackgroundModel.align`)."""
-    expected = model.expected(image)
-    threshold = model.threshold(expected)
-    smooth = np.asarray(cv2.blur(image, (3, 3)), dtype=np.float32)
-    difference = strongest(cv2.absdiff(smooth, expected))
+def find_evidence(seen: Difference, shadow: float) -> Evidence:
+    """The evidence in a part of an image.
+
+    Args:
+        seen: the part.
+        shadow: how bright a flat cast shadow typically is, relative to the ground without it.
+    """
+    smooth, expected, difference, threshold = seen.smooth, seen.expected, seen.amount, seen.threshold
     over = difference > np.maximum(threshold, _BORDER_SHARE * cv2.dilate(difference, disc(5)))
     # Opening with an even kernel shifts by a pixel unless the way back is anchored at the other corner.
     square = np.ones((2, 2), np.uint8)
@@ -71,9 +75,9 @@ def find_evidence(image: Image, model: BackgroundModel) -> Evidence:
     light, light_before = lightness(smooth), lightness(expected)
     ratio = (light + 4) / (light_before + 4)
     stain = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
-    changed &= ~_soft_shadow(changed, ratio, stain)
+    changed &= ~_soft_shadow(changed, ratio, stain, seen.open_sides)
     brighter = light - light_before > threshold
-    black = ratio < max(min(_BLACK, _BLACK_SHARE * model.shadow), model.shadow - _BELOW_SHADOW)
+    black = ratio < max(min(_BLACK, _BLACK_SHARE * shadow), shadow - _BELOW_SHADOW)
     colour = stain > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
     inside = morph(changed, cv2.MORPH_ERODE, 2 * RIM + 1)
     # Outlines of dark things are blurred further inwards than a fixed rim: up to where the difference levels out.
@@ -85,19 +89,21 @@ def find_evidence(image: Image, model: BackgroundModel) -> Evidence:
     textured = new > np.maximum(_TEXTURE_LEVELS, (1 - _LEVEL_SHARE) * peak)
     firm = brighter | colour | textured
     shade = np.where(firm, np.float32(-1), 1 - ratio).astype(np.float32)
-    return Evidence(changed, changed & (firm | black), changed & (ratio < _DARK), shade)
+    return Evidence(seen.box, changed, changed & (firm | black), changed & (ratio < _DARK), shade)
 
 
-def _soft_shadow(changed: Mask, ratio: Plane, stain: Plane) -> Mask:
+def _soft_shadow(changed: Mask, ratio: Plane, stain: Plane, open_sides: tuple[bool, bool, bool, bool]) -> Mask:
     """The changed pixels that lie in a soft shadow: reached from the open road without crossing an edge."""
-    slope = np.hypot(cv2.Sobel(ratio, cv2.CV_32F, 1, 0), cv2.Sobel(ratio, cv2.CV_32F, 0, 1)) / 8
-    shade = (ratio < 1) & (ratio > _SHADE) & (stain < _COLOUR_LEVELS) & (slope < _SHADE_SLOPE)
+    shade = (ratio < 1) & (ratio > _SHADE) & (stain < _COLOUR_LEVELS) & (slope(ratio) / 8 < _SHADE_SLOPE)
     passable = (shade | (changed == 0)).view(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(passable, connectivity=4)
     if count < 2:
         return np.zeros_like(changed)
-    road = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-    return np.asarray((labels == road).view(np.uint8) & changed, dtype=np.uint8)
+    # Nothing has changed along a side beyond which the frame goes on.
+    corners = (labels[0, 0], labels[-1, 0], labels[0, 0], labels[0, -1])
+    roads = {int(label) for label, is_open in zip(corners, open_sides, strict=True) if is_open}
+    roads = roads or {1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())}
+    return np.asarray(np.isin(labels, list(roads)).view(np.uint8) & changed, dtype=np.uint8)
 
 
 def _range(grey: Plane, inside: Mask) -> Plane:

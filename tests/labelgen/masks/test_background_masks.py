@@ -212,6 +212,38 @@ def test_swaying_camera() -> None:
     assert iou(found, box)[0] > 0.8
 
 
+def test_sway_is_undone_look_after_look() -> None:
+    scene = cv2.copyMakeBorder(road(), 8, 8, 8, 8, cv2.BORDER_REFLECT)
+    box = (240, 120, 400, 240)  # it hides the middle, which only what lies around can make up for
+
+    def look_at(i: int, vehicle: bool = False) -> np.ndarray:
+        dx, dy = (3, -4) if i % 2 else (-5, 2)
+        image = scene[8 + dy : 368 + dy, 8 + dx : 648 + dx]
+        return noisy(drive(image, box, (30, 30, 190)) if vehicle else image, i)
+
+    source = create_mask_source("background")
+    source.prime(look_at(i) for i in range(20))
+    shares = [iou(look(source, look_at(i, vehicle=True)), box) for i in range(40)]
+    assert [len(share) for share in shares] == [1] * 40
+    assert min(share[0] for share in shares) > 0.8
+
+
+@pytest.mark.parametrize("size_wh", [(640, 1), (1, 640), (641, 7), (3, 5), (48, 48)])
+def test_slivers_and_thumbnails_do_no_harm(size_wh: tuple[int, int]) -> None:
+    w, h = size_wh
+    rng = np.random.default_rng(1)
+    scene = rng.integers(60, 200, (h, w, 3), dtype=np.uint8)
+    source = create_mask_source("background")
+    source.prime(noisy(scene, i) for i in range(6))
+    for i in range(6):
+        image = noisy(scene, 10 + i)
+        image[h // 4 : h // 4 + max(1, h // 3), i % w : i % w + max(1, w // 3)] = rng.integers(0, 255, 3)
+        source.observe(image)
+        found = look(source, image)
+        assert found.frame_wh == size_wh
+        assert all(found.full(j).shape == (h, w) for j in range(len(found)))
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_works_at_any_size(factor: float) -> None:
     def sized(image: np.ndarray) -> np.ndarray:
