@@ -9,7 +9,7 @@ as those of boxes do, and is too careful where each point errs on its own. It kn
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -35,19 +35,24 @@ _MEDIAN_ERROR, _MAD_TO_SIGMA = 1.2533, 1.4826
 
 @dataclass(frozen=True)
 class MeasureRules:
-    """Which points and tracks count; the defaults are the published ones, for frames 1920 px wide.
+    """Which points and tracks count; the defaults are the published ones, for frames 1920 px wide, but for the leaps.
 
     Args:
         border_px: points whose bottom front edge comes this close to the frame's border do not count: there the
             vehicle is likely to be cut. (Published for the edge's middle; both its ends are asked here.)
         min_points: tracks with fewer points that count are dropped.
         min_length_px: tracks are dropped unless their first and last point lie farther apart.
+        leap_m, leap_kmh: a track that moves farther between two points than the one and what the other allows in that
+            time has passed from one vehicle to another: boxes of vehicles close behind each other merge. Its longest
+            part counts. Ours.
         track: parameters of the tracker.
     """
 
     border_px: float = 10.0
     min_points: int = 5
     min_length_px: float = 100.0
+    leap_m: float = 5.0
+    leap_kmh: float = 300.0
     track: TrackRules = field(default_factory=TrackRules)
 
     @classmethod
@@ -111,6 +116,10 @@ class _Points:
     vertices_px: list[Array] = field(default_factory=list)
     class_ids: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
+
+    def part(self, start: int, stop: int) -> _Points:
+        """The points from one to before another."""
+        return _Points(*(getattr(self, f.name)[start:stop] for f in fields(self)))
 
 
 def speed_and_error(points_m: Array, times_s: Array) -> tuple[float, float]:
@@ -244,13 +253,24 @@ class SpeedMeter:
     def _measured(self, ended: list[int]) -> list[Vehicle]:
         vehicles = []
         for number in ended:
-            points = self._tracks.pop(number)
+            points = self._without_leaps(self._tracks.pop(number))
             reason = self._too_short(points)
             if reason:
                 self.dropped[reason] += 1
             else:
                 vehicles.append(_measure(number, points, self._camera, self._lane_lines))
         return vehicles
+
+    def _without_leaps(self, points: _Points) -> _Points:
+        """The longest part in which the vehicle drives."""
+        if len(points.times_s) < 2:
+            return points
+        ground = self._camera.road_points(np.array(points.feet_px), invalid="nan")
+        way = np.hypot(*np.diff(ground, axis=0).T)
+        leaps = np.flatnonzero(way > self.rules.leap_m + self.rules.leap_kmh / 3.6 * np.diff(points.times_s)) + 1
+        ends = np.array([0, *leaps, len(points.times_s)])
+        longest = int(np.diff(ends).argmax())
+        return points.part(int(ends[longest]), int(ends[longest + 1]))
 
     def _too_short(self, points: _Points) -> str:
         if len(points.frames) < self.rules.min_points:

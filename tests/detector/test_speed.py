@@ -93,6 +93,25 @@ def line(camera: Camera, y_m: float) -> np.ndarray:
     return np.cross(first, second)
 
 
+@pytest.mark.parametrize(
+    ("rules", "expected"), [(MeasureRules(), (30, 69)), (MeasureRules(leap_m=np.inf), (4, 69))], ids=["ours", "off"]
+)
+def test_a_track_that_leaps_to_the_next_vehicle_is_its_longest_part(
+    rules: MeasureRules, expected: tuple[int, int]
+) -> None:
+    """A car follows another; for three frames one box holds both, then the follower is hidden."""
+    view = make_view(Variant.TRANSFORM3D)
+    meter = SpeedMeter(view.camera, rules=rules)
+    follower, both, first = (Drive(72.0, x, 0.0, -1, (length, *CAR[1:])) for x, length in ((49, 5), (42, 12), (42, 5)))
+    vehicles = []
+    for number in range(110):
+        drive = follower if number < 30 else both if number < 33 else first
+        vehicles += meter.add(exact_detections(view, [drive], number, number / 50))[1]
+    [vehicle] = vehicles + meter.finish()
+    assert (vehicle.frames[0], vehicle.frames[-1]) == expected
+    assert vehicle.speed_kmh == pytest.approx(72.0, abs=0.01)
+
+
 def test_lanes_by_their_border_lines() -> None:
     view = make_view(Variant.TRANSFORM3D)
     lanes = np.array([line(view.camera, y) for y in (5.0, 1.5, -2.0)])
