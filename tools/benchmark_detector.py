@@ -22,7 +22,7 @@ import torch
 from torchvision.models.detection import RetinaNet
 
 from detector.infer import Detector, model_view
-from detector.model import ModelConfig, build_model
+from detector.model import CcRetinaNet, ModelConfig, build_model
 from detector.pipeline import detect
 from detector.presets import find_preset
 from detector.sources import DetectorDetections
@@ -32,13 +32,27 @@ from labelgen.geometry import parse_size
 from labelgen.sources.frames import open_frames
 from labelgen.sources.scenes import find_scene
 
-__all__ = ["benchmark_branch", "benchmark_stages"]
+__all__ = ["benchmark_branch", "benchmark_stages", "plain_retinanet", "synchronised_s"]
 
 
-def _sync(device: torch.device) -> float:
+def synchronised_s(device: torch.device) -> float:
+    """The clock, s, once the device has done what it was given."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
+
+
+def plain_retinanet(ours: CcRetinaNet) -> RetinaNet:
+    """torchvision's own RetinaNet with the weights of ours, which it shares: the same boxes, without c_c."""
+    plain = RetinaNet(
+        ours.backbone, 1, anchor_generator=ours.anchor_generator, score_thresh=ours.score_thresh,
+        detections_per_img=ours.detections_per_img,
+    )  # fmt: skip
+    plain.transform = ours.transform
+    plain.head.classification_head = ours.head.classification_head
+    plain.head.regression_head.conv = ours.head.regression_head.conv
+    plain.head.regression_head.bbox_reg = ours.head.regression_head.bbox_reg
+    return plain.eval()
 
 
 def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, device: str) -> dict[str, Any]:
@@ -49,14 +63,7 @@ def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, 
     place = torch.device(device)
     torch.manual_seed(0)
     ours = build_model(config).eval().to(place, memory_format=torch.channels_last)
-    plain = RetinaNet(ours.backbone, 1, anchor_generator=ours.anchor_generator)
-    plain.transform = ours.transform
-    for head in (plain.head.classification_head, plain.head.regression_head):
-        head.conv = head.conv[: config.head_convs]
-    plain.head.classification_head = ours.head.classification_head
-    plain.head.regression_head.conv = ours.head.regression_head.conv
-    plain.head.regression_head.bbox_reg = ours.head.regression_head.bbox_reg
-    plain = plain.eval().to(place, memory_format=torch.channels_last)
+    plain = plain_retinanet(ours).to(place, memory_format=torch.channels_last)
     image = [torch.rand(3, size_wh[1], size_wh[0], device=place)]
     times: dict[str, list[tuple[float, float]]] = {"ours": [], "torchvision": []}
     networks = {"ours": ours, "torchvision": plain}
@@ -64,9 +71,9 @@ def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, 
         for number in range(pairs + 3):
             # Who goes first changes from pair to pair.
             for name in sorted(networks, reverse=bool(number % 2)):
-                begin, busy = _sync(place), time.process_time()
+                begin, busy = synchronised_s(place), time.process_time()
                 networks[name](image)
-                times[name].append((_sync(place) - begin, time.process_time() - busy))
+                times[name].append((synchronised_s(place) - begin, time.process_time() - busy))
     wall, cpu = (
         [a[k] / b[k] for a, b in zip(times["ours"][3:], times["torchvision"][3:], strict=True)] for k in (0, 1)
     )
@@ -101,13 +108,13 @@ def benchmark_stages(
             break
     decode = (time.perf_counter() - begin) / len(pictures)
     list(model.detections(pictures[:3]))
-    begin = _sync(detector.device)
+    begin = synchronised_s(detector.device)
     inputs = [to_input(frame.image) for frame in pictures]
-    rectify = (_sync(detector.device) - begin) / len(pictures)
-    begin = _sync(detector.device)
+    rectify = (synchronised_s(detector.device) - begin) / len(pictures)
+    begin = synchronised_s(detector.device)
     for picture in inputs:
         detector([picture])
-    network = (_sync(detector.device) - begin) / len(pictures)
+    network = (synchronised_s(detector.device) - begin) / len(pictures)
 
     tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
     begin, busy = time.perf_counter(), time.process_time()

@@ -3,7 +3,7 @@
 What `labelgen bcs-masks` makes of the same session goes through masks, and leaves out vehicles off the road mask; a
 detector is trained and judged more sharply on labels without either.
 
-    python -m tools.exact_shards SESSION... --out DIR [--pair VP2-VP3] [--size 480x270]
+    python -m tools.exact_shards SESSION... --out DIR [--pair VP2-VP3] [--size 480x270] [--quality 95]
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ def _area(boxes: Any) -> Any:
     return np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
 
 
-def write_session_shard(session: Path, out: Path, number: int, pair: Pair, size_wh: tuple[int, int]) -> int:
+def write_session_shard(
+    session: Path, out: Path, number: int, pair: Pair, size_wh: tuple[int, int], codec: ImageCodec
+) -> int:
     """One shard of a session folder (ROOT/dataset/NAME); returns how many labels it holds."""
     scene = find_scene(session)
     assert scene.frames_path is not None
@@ -70,7 +72,6 @@ def write_session_shard(session: Path, out: Path, number: int, pair: Pair, size_
     camera = scene.camera(frames.size_wh)
     rectification = Rectification.from_road_mask(camera, scene.road(), pair, size_wh)
     truth = session.resolve().parents[1] / "truth" / scene.name / "boxes.jsonl"
-    codec = ImageCodec()
     settings = {"kind": "exact", "region": str(Region.ROAD), "min_height_px": MIN_HEIGHT_PX, **codec.describe()}
     path = out / f"shard-{number:03d}-{scene.name}-00000.h5"
     with ShardWriter(path, pair, size_wh, source=scene.name, settings=settings) as writer, truth.open() as lines:
@@ -95,10 +96,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--pair", default="VP2-VP3")
     parser.add_argument("--size", default="480x270")
+    parser.add_argument("--quality", type=int, default=95, help="of the JPEGs")
     given = parser.parse_args(arguments)
-    out, size_wh = make_folder(given.out), parse_size(given.size)
+    out, size_wh, codec = make_folder(given.out), parse_size(given.size), ImageCodec(given.quality)
     for number, session in enumerate(given.sessions):
-        count = write_session_shard(session, out, number, Pair.parse(given.pair), size_wh)
+        count = write_session_shard(session, out, number, Pair.parse(given.pair), size_wh, codec)
         print(f"{session}: {count} labels")
 
 

@@ -6,9 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from detector_shards import write_painted_shards
 
-from tools import benchmark_detector, benchmark_loader
+from detector.checkpoint import CARD_KEY, Card
+from detector.model import ModelConfig, build_model
+from labelgen.geometry import Pair
+from labelgen.synth.session import write_session
+from tools import benchmark_detector, benchmark_loader, benchmark_sizes
 
 
 def test_branch_benchmark(tmp_path: Path) -> None:
@@ -30,3 +35,35 @@ def test_loader_benchmark(tmp_path: Path) -> None:
     report = json.loads(out.read_text())
     assert set(report["median"]) == {"shards", "webdataset", "plain files"}
     assert min(report["median"].values()) > 0
+
+
+def test_plain_retinanet_finds_the_same_boxes() -> None:
+    torch.manual_seed(0)
+    ours = build_model(ModelConfig(backbone="mobilenet_v3_small", channels=32), score_thresh=0.005).eval()
+    image = [torch.rand(3, 64, 96)]
+    with torch.no_grad():
+        a, b = ours(image)[0], benchmark_detector.plain_retinanet(ours)(image)[0]
+    assert len(a["boxes"]) > 0
+    assert torch.equal(a["boxes"], b["boxes"])
+    assert torch.equal(a["scores"], b["scores"])
+
+
+def test_sizes_benchmark(tmp_path: Path) -> None:
+    session = write_session(tmp_path / "data", duration_s=0.6, fps=10, size_wh=(320, 180), seed=4, per_minute=40)
+    config = ModelConfig(
+        backbone="mobilenet_v3_small", channels=16, head_convs=1, levels=(3, 4), anchor_sizes=((32.0,), (64.0,))
+    )
+    model = build_model(config)
+    card = Card("paper-640x360", Pair.VP2_VP3, (640, 360), config, 10.0, [], {})
+    checkpoint, out = tmp_path / "model.ckpt", tmp_path / "out.json"
+    torch.save({"state_dict": model.state_dict(), CARD_KEY: card.to_dict()}, checkpoint)
+    benchmark_sizes.main(
+        [str(checkpoint), str(Path(session.files["video"]).parent), "--sizes", "480x270", "270x480", "--frames", "4",
+         "--rounds", "1", "--device", "cpu", "--no-compile", "--json", str(out)]
+    )  # fmt: skip
+    report = json.loads(out.read_text())
+    assert report["frames"] == 4
+    assert set(report["sizes"]) == {"480x270", "270x480"}
+    for rows in report["sizes"].values():
+        assert set(rows) == {"torchvision", "torchvision half", "float32", "half"}
+        assert min(row["fps"] for row in rows.values()) > 0
