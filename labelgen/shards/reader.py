@@ -21,6 +21,7 @@ from labelgen.geometry.camera import Camera
 from labelgen.geometry.pairs import Pair, parse_size
 from labelgen.geometry.rectification import Rectification
 from labelgen.labels import Labels, Sample, Split
+from labelgen.shards.byte_strip import ByteStrip
 from labelgen.shards.rejects import Reject, from_json_lines
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION
 
@@ -45,7 +46,7 @@ class ShardReader:
         self.path = Path(path)
         self._file: h5py.File | None = None
         self._pid = 0
-        self._images: h5py.Dataset | None = None
+        self._images: ByteStrip | None = None
 
     def __enter__(self) -> ShardReader:
         return self
@@ -174,8 +175,8 @@ class ShardReader:
 
     def labels(self, index: int) -> Labels:
         """Labels of one sample."""
-        start, stop = self.table("labels/offset")[[index, index + 1]]
-        return self._labels[int(start) : int(stop)]
+        start, stop = self.table("labels/offset")[index : index + 2].tolist()
+        return self._labels[start:stop]
 
     @cached_property
     def _labels(self) -> Labels:
@@ -188,14 +189,13 @@ class ShardReader:
 
     def encoded(self, index: int) -> bytes:
         """JPEG or PNG bytes of one sample."""
-        start, stop = self.table("images/offset")[[index, index + 1]]
+        start, stop = self.table("images/offset")[index : index + 2].tolist()
         file = self._open()
         with self._damage():
             if self._images is None:
                 # Looking a data set up takes as long as reading a picture from it.
-                self._images = file["images/bytes"]
-            data: bytes = self._images[int(start) : int(stop)].tobytes()
-        return data
+                self._images = ByteStrip(file["images/bytes"])
+            return self._images.read(start, stop)
 
     def rectification(self, index: int) -> Rectification:
         """Rectification of one sample, from the original frame."""

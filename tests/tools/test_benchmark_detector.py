@@ -35,6 +35,7 @@ def test_loader_benchmark(tmp_path: Path) -> None:
     report = json.loads(out.read_text())
     assert set(report["median"]) == {"shards", "webdataset", "plain files"}
     assert min(report["median"].values()) > 0
+    assert set(report["shards_over"]) == {"webdataset", "plain files"}
 
 
 def test_plain_retinanet_finds_the_same_boxes() -> None:

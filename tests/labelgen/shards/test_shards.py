@@ -354,3 +354,29 @@ def test_public_names() -> None:
         "validate_shards",
         "write_index",
     ]
+
+
+@pytest.mark.parametrize("packing", [{"chunks": (100,)}, {"chunks": (64,), "compression": "gzip"}])
+def test_images_that_another_program_has_packed(tmp_path: Path, packing: dict) -> None:
+    path = tmp_path / "shard-00000.h5"
+    write_shard(path)
+    with ShardReader(path) as reader:
+        wanted = [sample.encoded for sample in reader]
+
+    def pack(file: h5py.File) -> None:
+        data = file["images/bytes"][()]
+        del file["images/bytes"]
+        file.create_dataset("images/bytes", data=data, **packing)
+
+    _edit(path, pack)
+    with ShardReader(path) as reader:
+        assert [sample.encoded for sample in reader] == wanted
+
+
+@pytest.mark.parametrize("offset", [-5, 2**40])
+def test_offsets_beyond_the_images_are_damage(tmp_path: Path, offset: int) -> None:
+    path = tmp_path / "shard-00000.h5"
+    write_shard(path)
+    _edit(path, _set("images/offset", 1, offset))
+    with ShardReader(path) as reader, pytest.raises(DataError, match="damaged"):
+        reader.encoded(0)
