@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -24,17 +25,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 from torchvision.models.detection import RetinaNet
 from torchvision.models.detection._utils import Matcher
-from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.retinanet import RetinaNetHead, RetinaNetRegressionHead
-from torchvision.models.detection.transform import GeneralizedRCNNTransform
-from torchvision.ops import batched_nms, clip_boxes_to_image, sigmoid_focal_loss
+from torchvision.ops import batched_nms, sigmoid_focal_loss
 
 from detector.backbone import NORMS, build_backbone
+from detector.model_inputs import AsItIs, ExactAnchors
 from detector.sizes import sizes_from_cc
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
-
-IMAGE_MEAN, IMAGE_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True)
@@ -178,17 +176,6 @@ def _sizes(target: dict[str, Tensor]) -> Tensor:
     return sizes_from_cc(target["cc"], target["boxes"], target["scene"])
 
 
-class _AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
-    """Normalises and pads, never resizes: labels and detections are in the image's own px."""
-
-    def __init__(self) -> None:
-        super().__init__(1, 1, list(IMAGE_MEAN), list(IMAGE_STD))
-
-    def resize(self, image: Tensor, target: Any = None) -> Any:
-        """Image and target unchanged."""
-        return image, target
-
-
 class CcRetinaNet(RetinaNet):  # type: ignore[misc]
     """RetinaNet of one class with c_c. In training a dict of losses, else per image `boxes`, `scores`, `labels`, `cc`.
 
@@ -201,49 +188,62 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         options: of torchvision's RetinaNet: thresholds, numbers of detections, matcher.
     """
 
-    def __init__(self, backbone: nn.Module, anchor_generator: AnchorGenerator, head: CcHead, **options: Any) -> None:
+    def __init__(self, backbone: nn.Module, anchor_generator: ExactAnchors, head: CcHead, **options: Any) -> None:
         super().__init__(backbone, num_classes=1, anchor_generator=anchor_generator, head=head, **options)
-        self.transform = _AsItIs()
+        self.transform = AsItIs()
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
-        """As torchvision's, with c_c, clamped to [0, 1], and the sizes going the same way as their box."""
-        names, found = [name for name in ("cc", "sizes") if name in head_outputs], []
-        for i, shape in enumerate(image_shapes):
-            parts = [
-                self._candidates(
-                    head_outputs["cls_logits"][level][i],
-                    head_outputs["bbox_regression"][level][i],
-                    [head_outputs[name][level][i] for name in names],
-                    a,
-                )
-                for level, a in enumerate(anchors[i])
-            ]
-            boxes, scores, values = (torch.cat(part) for part in zip(*parts, strict=True))
-            boxes = clip_boxes_to_image(boxes, shape)
-            labels = torch.zeros(len(boxes), dtype=torch.int64, device=boxes.device)
-            keep = batched_nms(boxes, scores, labels, self.nms_thresh)[: self.detections_per_img]
-            kept = {"cc": values[keep, 0].clamp(0, 1), **({"sizes": values[keep, 1:]} if len(names) > 1 else {})}
-            found.append({"boxes": boxes[keep], "scores": scores[keep], "labels": labels[keep], **kept})
+        """As torchvision's, with c_c, clamped to [0, 1], and the sizes going the same way as their box.
+
+        All images and levels of a batch go through each step at once: on a GPU a step costs its launch, however small.
+        """
+        # One by one, for a processor's last bit of a sigmoid depends on how many there are.
+        logits = [level.squeeze(-1).float() for level in head_outputs["cls_logits"]]
+        scores = torch.stack([torch.cat([torch.sigmoid(level[i]) for level in logits]) for i in range(len(logits[0]))])
+        together = {name: torch.cat(list(parts), dim=1) for name, parts in head_outputs.items() if name != "cls_logits"}
+        # Images of one batch are padded to one size, so they share their anchors.
+        levels = [len(a) for a in anchors[0]]
+        image, anchor = self._candidates(scores, levels)
+        counts = torch.bincount(image, minlength=len(image_shapes)).tolist()
+        best = scores[image, anchor]
+        boxes = self.box_coder.decode_single(
+            together["bbox_regression"][image, anchor].float(), torch.cat(list(anchors[0]))[anchor]
+        )
+        border = torch.tensor([(w, h, w, h) for h, w in image_shapes], dtype=boxes.dtype, device=boxes.device)
+        values = {"boxes": torch.minimum(boxes.clamp(min=0), border[image]), "scores": best}
+        values["labels"] = torch.zeros_like(anchor)
+        values["cc"] = together["cc"][image, anchor].float().clamp(0, 1)
+        if "sizes" in together:
+            values["sizes"] = together["sizes"][image, anchor].float()
+        found = []
+        for parts in zip(*(torch.split(value, counts) for value in values.values()), strict=True):
+            own = dict(zip(values, parts, strict=True))
+            keep = batched_nms(own["boxes"], own["scores"], own["labels"], self.nms_thresh)[: self.detections_per_img]
+            found.append({name: value[keep] for name, value in own.items()})
         return found
 
-    def _candidates(
-        self, logits: Tensor, boxes: Tensor, values: Sequence[Tensor], anchors: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """The best anchors of one level above the score threshold: boxes (K, 4), scores (K,), values (K, V)."""
-        scores = torch.sigmoid(logits.float()).flatten()
-        above = torch.where(scores > self.score_thresh)[0]
-        best, order = scores[above].topk(min(self.topk_candidates, len(above)))
-        index = above[order]
-        rest = torch.cat([value[index].reshape(len(index), value[0].numel()).float() for value in values], dim=1)
-        return self.box_coder.decode_single(boxes[index].float(), anchors[index]), best, rest
+    def _candidates(self, scores: Tensor, levels: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Image and anchor (K,) of what is above the score threshold, at most `topk_candidates` of an image's level.
 
+        In order of image and level, the best first.
 
-class _ExactAnchors(AnchorGenerator):  # type: ignore[misc]
-    """torchvision's, in float32: it makes them in the precision of the features."""
-
-    def forward(self, image_list: Any, feature_maps: list[Tensor]) -> Any:
-        """Anchors (A, 4) of each image; of the features only size and device count."""
-        return super().forward(image_list, [torch.empty(f.shape[-2:], device=f.device) for f in feature_maps])
+        Args:
+            scores: (N, A).
+            levels: numbers of anchors, which sum to A.
+        """
+        image, anchor = torch.where(scores > self.score_thresh)
+        ends = torch.tensor(levels, device=scores.device).cumsum(0)
+        group = image * len(levels) + torch.searchsorted(ends, anchor, right=True)
+        counts: list[int] = torch.bincount(group, minlength=len(scores) * len(levels)).tolist()
+        best = scores[image, anchor]
+        starts = [0, *accumulate(counts)]
+        order = [
+            start + best[start : start + count].topk(min(count, self.topk_candidates)).indices
+            for start, count in zip(starts, counts, strict=False)
+            if count
+        ]
+        kept = torch.cat(order) if order else torch.empty_like(anchor)
+        return image[kept], anchor[kept]
 
 
 def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -> CcRetinaNet:
@@ -259,7 +259,7 @@ def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -
     """
     backbone = build_backbone(config.backbone, config.levels, config.channels, weights=weights, norm=config.trunk_norm)
     sizes: Sequence[Sequence[float]] = config.anchor_sizes
-    anchors = _ExactAnchors(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
+    anchors = ExactAnchors(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
     head = CcHead(
         config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
         cc_weight=config.cc_weight, beta=config.beta, with_sizes=config.size_weight > 0,

@@ -4,7 +4,7 @@ One checkpoint is run at every size: its network is convolutional, so it finds v
 as one trained there. The ways to run it:
 
     torchvision        torchvision's RetinaNet as it comes, the same weights: no c_c, batch norm not folded, float32
-    torchvision half   the same under autocast
+    torchvision half   the same under autocast, as torchvision's users run it
     float32            `detector.infer.Detector` in full precision
     half               the same in half precision, as in use
     half compiled      the same with `--compile`
@@ -53,12 +53,13 @@ _SCORE = 0.3
 class _WithoutCc(nn.Module):
     """torchvision's RetinaNet; c_c, which it does not know, is a constant, so that the rest of the chain runs."""
 
-    def __init__(self, model: CcRetinaNet) -> None:
+    def __init__(self, model: CcRetinaNet, half: bool) -> None:
         super().__init__()
-        self.model = plain_retinanet(model)
+        self.model, self._half = plain_retinanet(model), half
 
     def forward(self, images: list[Tensor]) -> list[dict[str, Tensor]]:
-        found: list[dict[str, Tensor]] = self.model(images)
+        with torch.autocast(images[0].device.type, enabled=self._half):
+            found: list[dict[str, Tensor]] = self.model(images)
         for output in found:
             output["cc"] = torch.full_like(output["scores"], 0.3)
         return found
@@ -68,7 +69,8 @@ def _ways(model: CcRetinaNet, card: Card, device: str | None, compiled: bool) ->
     """Makers of detectors, so that only one is in the device's memory at a time."""
 
     def plain(half: bool) -> Detector:
-        detector = Detector(_WithoutCc(deepcopy(model)), card, device=device, half=half, fold=False)  # type: ignore[arg-type]
+        network: Any = _WithoutCc(deepcopy(model), half)
+        detector = Detector(network, card, device=device, half=False, fold=False)
         detector.model.to(memory_format=torch.contiguous_format)
         return detector
 
@@ -165,9 +167,11 @@ def benchmark_sizes(
             row = _measure(detector, scene, video, first, frames, rounds)
             result["sizes"].setdefault(_text(size_wh), {})[name] = row
             memory = f"{row['peak_mib']:7.0f} MiB" if "peak_mib" in row else ""
-            say(f"{_text(size_wh):8} {name:17} {row['fps']:7.1f} fps  detect {row['detect_ms']:7.2f} ms {memory}")
+            figures = f"{row['fps']:7.1f} fps  detect {row['detect_ms']:7.2f} ms {memory}"
+            say(f"{_text(size_wh):8} {name:17} {figures}  {row['detections']} found")
             del detector
             gc.collect()
+            torch.compiler.reset()  # or the next size would be compiled for any size
             if torch.cuda.is_available():
                 torch.cuda.empty_cache()
     return result
