@@ -88,7 +88,7 @@ def _network(name: str, weights: str, norm: str) -> nn.Module:
             f"backbone {name}: torchvision has no such network; see torchvision.models.list_models()"
         ) from None
     if weights not in ("none", "imagenet"):
-        raise LabelgenError(f"--weights {weights}: expected imagenet, none or a checkpoint")
+        raise LabelgenError(f"--weights {weights}: expected imagenet, none or a file")
     options: dict[str, Any] = {"weights": "DEFAULT" if weights == "imagenet" else None}
     if norm == "frozen":
         options["norm_layer"] = NORMS["frozen"]
@@ -99,7 +99,8 @@ def _network(name: str, weights: str, norm: str) -> nn.Module:
         network: nn.Module = builder(**options)
     except OSError as err:
         raise LabelgenError(
-            f"backbone {name}: its pretrained weights cannot be had ({err}); use --weights none"
+            f"backbone {name}: its pretrained weights cannot be had ({err}); give torchvision's file of them, or a "
+            "checkpoint, with --weights FILE, or begin from random ones with --weights none"
         ) from None
     except TypeError as err:
         raise LabelgenError(f"backbone {name}: it cannot be built with {norm} normalisation ({err})") from None

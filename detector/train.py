@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from detector.anchors import fit_anchors
-from detector.checkpoint import CARD_KEY, Card, read_checkpoint, take_weights
+from detector.checkpoint import CARD_KEY, Card, read_checkpoint
 from detector.data import (
     ShardSource,
     StepSampler,
@@ -31,6 +31,7 @@ from detector.data import (
 from detector.device import gains_from_half
 from detector.model import build_model
 from detector.presets import Preset
+from detector.pretrained import begin_with
 from labelgen.errors import LabelgenError, OutputError
 from labelgen.files import make_folder
 from labelgen.geometry import Region
@@ -103,14 +104,14 @@ def train(
         preset: what and how; pair and size are those of the shards where it leaves them open.
         out: run folder.
         validation: shards to judge by after every epoch.
-        weights: checkpoint to begin with, of the same shape.
+        weights: what to begin with, see `detector.pretrained`.
         resume: go on from the folder's last checkpoint.
         overwrite: begin anew in a folder that has one.
         seed: of weights, order and augmentation.
         machine: devices and so on.
 
     Raises:
-        DataError: shards of another pair or size, or a checkpoint that does not fit.
+        DataError: shards of another pair or size, or weights that do not fit.
         OutputError: the folder has a checkpoint and neither `resume` nor `overwrite` is given.
         LabelgenError: Lightning is not installed, or the shards lack labels.
     """
@@ -127,8 +128,7 @@ def train(
     torch.manual_seed(seed)
     model = build_model(card.config, weights="none" if weights or resume else preset.weights)
     if weights is not None and not resume:
-        data = read_checkpoint(weights)
-        take_weights(model, data.get("state_dict", data), f"--weights {weights}")
+        begin_with(model, read_checkpoint(weights), f"--weights {weights}")
     samples = TrainingSamples(sources, card.size_wh, preset.whole, preset.crops, seed)
     return _fit(model, preset, card, samples, judged, steps, out, last if resume else None, machine)
 

@@ -36,7 +36,12 @@ def train(
         int | None, typer.Option("--patience", min=0, help="Stop after so many epochs without progress on --val.")
     ] = None,
     weights: Annotated[
-        str | None, typer.Option("--weights", metavar="FILE|imagenet|none", help="What to begin with.")
+        str | None,
+        typer.Option(
+            "--weights",
+            metavar="FILE|imagenet|none",
+            help="What to begin with; FILE: a checkpoint, torchvision's RetinaNet, or its file of the backbone.",
+        ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from RUN_DIR's last checkpoint.")] = False,
     overwrite: OverwriteOption = False,
