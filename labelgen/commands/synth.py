@@ -93,6 +93,10 @@ def session(
     bodies: Annotated[
         str | None, typer.Option("--bodies", metavar="NAME,...", help="Body types to use; all by default.")
     ] = None,
+    plates: Annotated[
+        str | None,
+        typer.Option("--plates", help="european, yellow, blue or short number plates; all kinds by default."),
+    ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Without: 3D boxes and tracks only.")] = True,
     name: Annotated[
         str | None, typer.Option("--name", help="Name of the session; session0_center by default, --scene's own with it.")
@@ -121,6 +125,7 @@ def session(
         weather=None if weather is None else Weather.parse(weather),
         per_minute=traffic,
         kinds=None if bodies is None else [b.strip() for b in bodies.split(",")],
+        plates=plates,
         scene=scene,
         replay=replay,
         start_s=start,

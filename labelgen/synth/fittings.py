@@ -17,6 +17,7 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = [
     "BLACK",
     "CHROME_TONE",
+    "PLATES",
     "TRIM",
     "Style",
     "draw_wheels",
@@ -65,14 +66,19 @@ class Style:
     plate_high: bool
 
 
-def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
-    """A style that suits a body."""
+PLATES = ("european", "yellow", "blue", "short")
+"""Families of number plates: white with a blue strip; yellow; blue with white letters; short and white."""
+
+
+def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = None) -> Style:
+    """A style that suits a body. `plates`: one of `PLATES`, any when None."""
     rugged = shape.kind in ("suv", "pickup", "van") and rng.random() < 0.6
     clear = rng.uniform(0.006, 0.035)
     private = clear if rng.random() < 0.55 else 0.006
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
         rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
+    family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
         grille=int(rng.integers(7)),
         lamp=int(rng.integers(6)),
@@ -84,7 +90,7 @@ def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
         rear_glass=(private, private * 1.1, private * 1.1),
         dark_roof=bool(rng.random() < 0.08),
         rails=rails,
-        plate=int(rng.choice(4, p=[0.55, 0.15, 0.15, 0.15])),
+        plate=family if plates is None else PLATES.index(plates),
         plate_high=bool(rng.random() < 0.6),
     )
 
@@ -188,7 +194,7 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     """Tyres, rims in one of several families, hubs."""
     skin.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
     family = int(rng.integers(4))
-    bright = float(rng.choice([0.03, 0.18, 0.36, 0.5], p=[0.2, 0.25, 0.35, 0.2]))
+    bright = float(rng.choice([0.03, 0.10, 0.20, 0.32], p=[0.2, 0.3, 0.35, 0.15]))
     rim: Colour = (bright, bright, bright * 1.03)
     spokes = int(rng.integers(5, 11))
     heavy = shape.wheel > 0.42

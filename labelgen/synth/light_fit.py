@@ -23,7 +23,8 @@ _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
 _STEEPEST = 1.9
 _LEAST_SKY = 0.08
-_SHARPEST = 3.0
+_OFF_EDGES = 0.6
+"""How far sharpening that suits vehicles may lie from what edges show."""
 
 Mask = NDArray[np.bool_]
 
@@ -164,15 +165,17 @@ def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:
     return replace(light, tone=pairs, saturation=light.saturation * colour)
 
 
-def fit_to_details(sensor: Sensor, real: Tones, drawn: Tones) -> Sensor:
-    """The camera, sharpened until drawn vehicles show as fine details as real ones.
+def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) -> Sensor:
+    """The camera, sharpened until drawn vehicles show as fine details as real ones, as far as its edges allow.
 
     Args:
         sensor: as they were drawn.
+        measured: on edges.
         real, drawn: as for `fit_to_tones`.
     """
-    ratio = float(np.clip(real.fine / max(drawn.fine, 1e-3), 0.6, 1.7))
-    return replace(sensor, sharpen=float(np.clip((1 + sensor.sharpen) * ratio - 1, 0.0, _SHARPEST)))
+    wanted = (1 + sensor.sharpen) * real.fine / max(drawn.fine, 1e-3) - 1
+    low, high = max(0.0, measured.sharpen - _OFF_EDGES), measured.sharpen + _OFF_EDGES
+    return replace(sensor, sharpen=float(np.clip(wanted, low, high)))
 
 
 def _rising(tone: Any) -> tuple[tuple[float, float], ...]:

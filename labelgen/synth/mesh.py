@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -44,6 +45,16 @@ class Mesh:
     triangles: NDArray[np.int32]
     normals: NDArray[np.float32]
     charts: NDArray[np.uint8]
+
+    @cached_property
+    def body(self) -> NDArray[np.int32]:
+        """(B, 3) the triangles of the body alone, without wing mirrors."""
+        return self.triangles[self.charts != Chart.MIRROR]
+
+    @cached_property
+    def body_vertices(self) -> NDArray[np.int64]:
+        """(N,) numbers of the vertices of `body`."""
+        return np.unique(self.body)
 
 
 @numba.njit(cache=True, nogil=True)

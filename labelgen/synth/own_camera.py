@@ -150,11 +150,12 @@ def _fit_to_vehicles(
     light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows
 ) -> tuple[Light, Sensor]:
     """Light and sensor with which drawn vehicles have the tones and details of real ones."""
+    measured = sensor
     for _ in range(_ROUNDS):
         drawn = tones_of(_drawn_parts(scene, light, sensor))
         if drawn is None:
             break
-        sensor = fit_to_details(sensor, real, drawn)
+        sensor = fit_to_details(sensor, measured, real, drawn)
         # Tones change how dark shadows come out, so these are looked at again.
         light = fit_to_shadows(fit_to_tones(light, real, drawn), shadows)
     return light, sensor

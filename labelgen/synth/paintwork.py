@@ -22,8 +22,9 @@ _SEAM = 0.3
 
 
 def draw_skin(
-    shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool
-) -> Skin:
+    shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool,
+    plates: str | None = None,
+) -> Skin:  # fmt: skip
     """The skin of one vehicle.
 
     Args:
@@ -32,13 +33,14 @@ def draw_skin(
         paint, cargo: linear RGB.
         rng: decides style, plates, trim and wheels.
         lamps: whether its lamps are on.
+        plates: one of `PLATES`; any when None.
     """
     skin = Skin(extent_lwh)
-    style = sample_style(shape, rng)
+    style = sample_style(shape, rng, plates)
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
         skin.fill(chart, paint, PAINT)
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
-    skin.fill(Chart.MIRROR, paint if rng.random() < 0.7 else TRIM, PAINT)
+    skin.fill(Chart.MIRROR, dim(paint, 0.7) if rng.random() < 0.6 else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_front(skin, shape, paint, style, rng, lamps)

@@ -72,10 +72,10 @@ class Drawn:
 
     Args:
         track_id: number of the vehicle.
-        mask: (h, w) bool, its visible pixels.
+        mask: (h, w) bool, its visible pixels without those of wing mirrors that stand out.
         origin_px: (x, y) frame px of the mask's first pixel.
         visible: share of the pixels it would cover alone that are visible.
-        outline_xyxy: (4,) px, around its projected mesh, hidden and outside parts included.
+        outline_xyxy: (4,) px, around its projected mesh without wing mirrors, hidden and outside parts included.
     """
 
     track_id: int
@@ -262,19 +262,20 @@ class Renderer:
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
         # A pixel belongs to the mask if the vehicle covers its centre.
-        centres = visible_triangles(screen, mesh.triangles, size, origin, 1, True)
+        centres = visible_triangles(screen, mesh.body, size, origin, 1, True)
         hidden = None if self.still is None else self.still.in_front(window, placed.bounds)
         if image is not None:
-            self._paint(image, placed, screen, centres, window, hidden)
+            self._paint(image, placed, screen, window, hidden)
         mask = centres >= 0
         alone = int(np.count_nonzero(mask))
         if hidden is not None:
             mask &= hidden < 128
-        outline = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+        body = pixels[mesh.body_vertices]
+        outline = np.concatenate([body.min(axis=0), body.max(axis=0)])
         return _Layer(placed.track_id, mask, alone, (x0, y0), outline)
 
     def _paint(
-        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64], centres: NDArray[np.int32],
+        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64],
         window: tuple[int, int, int, int], hidden: NDArray[np.uint8] | None,
     ) -> None:  # fmt: skip
         """Shade a vehicle and lay it over its window of the frame, save what stands before it."""
@@ -282,7 +283,7 @@ class Renderer:
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
         ss = 3 if max(size) < 110 else 2 if max(size) < 500 else 1
-        ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
+        ids = visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
         layer: Any = shade(

@@ -24,7 +24,7 @@ from labelgen.synth.sensor import PLAIN, Sensor, make_sensor
 from labelgen.synth.still import Still
 from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
-from labelgen.synth.vehicles import Vehicle, check_kinds
+from labelgen.synth.vehicles import Vehicle, check_kinds, check_plates
 
 __all__ = ["SessionSummary", "place", "write_session"]
 
@@ -70,6 +70,7 @@ def write_session(
     weather: Weather | None = None,
     per_minute: float = 18.0,
     kinds: Sequence[str] | None = None,
+    plates: str | None = None,
     heading: int | None = None,
     scene: Path | None = None,
     replay: bool = False,
@@ -94,6 +95,7 @@ def write_session(
         weather: light; when None at random, overcast in a real session, as it looks in a video.
         per_minute: vehicles per lane and minute.
         kinds: body types to use; by their shares in traffic when None.
+        plates: one of `labelgen.synth.fittings.PLATES`; of all kinds when None.
         heading: +1 traffic drives away, -1 it comes closer; when None at random, or as seen in a video. Not with a
             real session.
         scene: folder of a real session, `ROOT/dataset/sessionN_x`, or anybody's video of a fixed camera above a road.
@@ -113,6 +115,7 @@ def write_session(
         CalibrationError: the video that `scene` names has no calibration and cannot carry one.
     """
     check_kinds(kinds or [])
+    check_plates(plates)
     if scene is None:
         if replay:
             raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
@@ -133,7 +136,7 @@ def write_session(
     else:
         trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = _folders(out, setting.scene.name, overwrite)
-    done = _render(folders, setting, trips, round(duration_s * fps), fps, seed, video=video, progress=progress)
+    done = _render(folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress)
     files = _write_beside(folders, setting, trips, done, fps)
     return SessionSummary(setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured)
 
@@ -228,7 +231,7 @@ def _write_beside(
 
 def _render(
     folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int, *,
-    video: bool, progress: bool,
+    plates: str | None, video: bool, progress: bool,
 ) -> _Done:  # fmt: skip
     from contextlib import ExitStack
 
@@ -263,7 +266,7 @@ def _render(
             if writer is not None:
                 ids = {t.track_id for t in here}
                 renderer.forget({k for k in vehicles if k not in ids})
-                vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
+                vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps, plates=plates) for t in here}
                 placed = [place(t, vehicles[t.track_id], time_s) for t in here]
                 image, drawn = renderer.frame(placed, number=number, time_s=time_s)
                 writer.write(image)

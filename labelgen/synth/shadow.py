@@ -51,12 +51,12 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
 
 def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
     """The mesh's vertices, and points every few decimetres where edges are long, as those of a box body."""
-    vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.triangles
+    vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.body
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
     long = np.abs(b - a)[:, 0] > 0.6
     share = np.linspace(0, 1, 40)[:, None, None]
-    return np.concatenate([vertices, (a[long] + share * (b[long] - a[long])).reshape(-1, 3)])
+    return np.concatenate([vertices[vehicle.mesh.body_vertices], (a[long] + share * (b[long] - a[long])).reshape(-1, 3)])
 
 
 def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:

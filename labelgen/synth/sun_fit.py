@@ -28,7 +28,7 @@ _BINS, _LEAST_SHARE = 40, 0.05
 _SUNNY_BELOW = 0.66
 """Share of the road's grey levels that shadows under an overcast sky keep at least."""
 _SLOPES = np.linspace(-1.75, 1.75, 15)
-_MOST_CARS = 36
+_MOST_CARS, _AGREEING, _LEAST_AGREEMENT = 24, 0.6, 0.4
 _SHIFTS_M = (-0.8, 0.0, 0.8)
 # A car as two boxes: x from and to, half the width, height, metres, its near end at x = 0.
 _BOXES = ((0.0, 4.4, 0.86, 0.88), (1.0, 3.8, 0.70, 1.45))
@@ -128,14 +128,19 @@ def _cars(shadow: Mask, change: Mask, camera: Camera) -> Iterator[_Car]:
 
 
 def _direction(cars: list[_Car], camera: Camera) -> NDArray[np.float64] | None:
-    """The direction whose shadows cover those of the video best."""
-    scores = np.zeros((len(_SLOPES), len(_SLOPES)))
-    for car in cars:
+    """The direction whose shadows cover those of the video best; None where none covers them well."""
+    every = np.zeros((len(cars), len(_SLOPES), len(_SLOPES)))
+    for k, car in enumerate(cars):
         for i, along in enumerate(_SLOPES):
             for j, aside in enumerate(_SLOPES):
-                scores[i, j] += max(_agreement(car, camera, shift, along, aside) for shift in _SHIFTS_M)
-    scores = cv2.GaussianBlur(scores, (0, 0), 0.7)
+                every[k, i, j] = max(_agreement(car, camera, shift, along, aside) for shift in _SHIFTS_M)
+    # Dark cars pass for shadows themselves; those that agree with no direction tell nothing.
+    best = every.max(axis=(1, 2))
+    telling = best >= np.quantile(best, _AGREEING)
+    scores = cv2.GaussianBlur(every[telling].sum(axis=0), (0, 0), 0.7)
     i, j = np.unravel_index(int(scores.argmax()), scores.shape)
+    if scores[i, j] < _LEAST_AGREEMENT * np.count_nonzero(telling):
+        return None
     sun = np.array([-_SLOPES[i], -_SLOPES[j], 1.0])
     return np.asarray(sun / np.linalg.norm(sun))
 

@@ -10,33 +10,34 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
-from labelgen.synth.bodies import body_mesh
-from labelgen.synth.mesh import Chart, Mesh, box_mesh
+from labelgen.synth.bodies import body_mesh, wing_mirrors
+from labelgen.synth.fittings import PLATES
+from labelgen.synth.mesh import Chart, Mesh, box_mesh, join
 from labelgen.synth.motorcycle import draw_motorcycle, motorcycle_mesh
 from labelgen.synth.paintwork import draw_skin
 from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.skin import Skin
 
-__all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size"]
+__all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle", "vehicle_size"]
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.64, 0.65, 0.64), 0.0, 0.20),
+    ((0.64, 0.65, 0.64), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.14, 0.145, 0.15), 0.6, 0.19),
-    ((0.018, 0.018, 0.020), 0.3, 0.18),
-    ((0.022, 0.036, 0.10), 0.5, 0.09),
-    ((0.10, 0.17, 0.30), 0.6, 0.03),
-    ((0.24, 0.016, 0.018), 0.2, 0.04),
-    ((0.10, 0.010, 0.014), 0.5, 0.03),
-    ((0.025, 0.07, 0.045), 0.4, 0.02),
-    ((0.22, 0.19, 0.145), 0.6, 0.03),
-    ((0.55, 0.30, 0.03), 0.1, 0.01),
-    ((0.60, 0.50, 0.08), 0.0, 0.01),
+    ((0.018, 0.018, 0.020), 0.3, 0.20),
+    ((0.026, 0.036, 0.078), 0.5, 0.06),
+    ((0.12, 0.17, 0.25), 0.6, 0.03),
+    ((0.22, 0.026, 0.026), 0.2, 0.03),
+    ((0.095, 0.016, 0.018), 0.5, 0.02),
+    ((0.030, 0.062, 0.045), 0.4, 0.015),
+    ((0.21, 0.19, 0.155), 0.6, 0.025),
+    ((0.46, 0.27, 0.06), 0.1, 0.005),
+    ((0.50, 0.42, 0.12), 0.0, 0.005),
 )
 
-_CARGO_TONES = ((0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10))
+_CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.07, 0.10, 0.21), (0.28, 0.06, 0.05), (0.10, 0.16, 0.11))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +75,22 @@ def check_kinds(kinds: Iterable[str]) -> None:
             raise DataError(f"--bodies {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box")
 
 
-def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) -> Vehicle:
+def check_plates(plates: str | None) -> None:
+    """DataError when it is no family of number plates."""
+    if plates is not None and plates not in PLATES:
+        raise DataError(f"--plates {plates}: unknown; use one of {', '.join(PLATES)}")
+
+
+def make_vehicle(
+    kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None
+) -> Vehicle:
     """A vehicle of a body type, with its own proportions, colour and details.
 
     Args:
         kind: a key of `BODY_TYPES`, or "box": a plain cuboid, whose outline is that of its 3D box.
         rng: everything that varies comes from it.
         lamps: whether its lamps are on.
+        plates: one of `PLATES`; any when None.
 
     Raises:
         DataError: no such body type.
@@ -92,6 +102,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
             skin.fill(chart, body.colour, PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
+    mesh = body.mesh if kind == "motorcycle" else join([body.mesh, *wing_mirrors(body.shape)])
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
     # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
     spread = 0.006 + 0.10 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
@@ -101,10 +112,10 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
         skin = Skin(extent)
         draw_motorcycle(skin, body.shape, colour, rng, lamps=lamps)
     else:
-        skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps)
+        skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
     skin.level(0.0)  # every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
-    return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
+    return Vehicle(kind, body.vehicle_class, body.size_lwh, mesh, skin, paint)
 
 
 def vehicle_size(kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -140,8 +151,7 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
 
 
 def _body_size(mesh: Mesh) -> NDArray[np.float64]:
-    body = mesh.vertices[mesh.triangles[mesh.charts != Chart.MIRROR]]
-    return np.asarray(np.ptp(body.reshape(-1, 3), axis=0))
+    return np.asarray(np.ptp(mesh.vertices[mesh.body_vertices], axis=0))
 
 
 def _shares() -> NDArray[np.float64]:
