@@ -99,7 +99,8 @@ def session(
     ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Without: 3D boxes and tracks only.")] = True,
     name: Annotated[
-        str | None, typer.Option("--name", help="Name of the session; session0_center by default, --scene's own with it.")
+        str | None,
+        typer.Option("--name", help="Name of the session; session0_center, or that of --scene, by default."),
     ] = None,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,

@@ -109,21 +109,21 @@ def _looks(source: FrameSource, size_wh: tuple[int, int]) -> tuple[Image, Image,
     width, height = size_wh
     most = int(np.clip(_BYTES // (3 * width * height), _FEWEST, _LOOKS))
     announced = source.frame_count or 0
-    step = max(1, announced // most)
+    step = [max(1, announced // most)]
     first = max(0, (announced - _RUN) // 2)
     run = range(first, first + min(_RUN, max(2, most)))
     looks: list[Image] = []
     raw: list[Image] = []
     count = 0
-    for frame in source.frames(lambda n: n % step == 0 or n in run):
+    for frame in source.frames(lambda n: n % step[0] == 0 or n in run):
         image = frame.image[:height, :width]
         count = frame.number + 1
         if frame.number in run:
             raw.append(image)
-        if frame.number % step == 0:
+        if frame.number % step[0] == 0:
             looks.append(image)
         if len(looks) > 2 * most:  # more came than was announced
-            looks, step = looks[::2], 2 * step
+            looks, step[0] = looks[::2], 2 * step[0]
     if not looks:
         raise DataError(f"{source.path}: no frame could be read; is it a video?")
     return np.stack(looks), np.stack(raw or looks[:2]), count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -56,10 +57,10 @@ def find_lanes(
     at, way, kmh = _passes(camera, tracks, low, high)
     if heading is None and len(at) < _LEAST_TRACKS:
         raise DataError("the video shows too little traffic to tell which way it drives; give --heading away or closer")
-    centres = low + _CELL * (np.arange(int((high - low) / _CELL)) + 0.5)
+    centres: Array = low + _CELL * (np.arange(int((high - low) / _CELL), dtype=np.float64) + 0.5)
     borders = _borders(low, high, _paint(camera, road, empty, centres), at, centres)
     lanes, counts = [], []
-    for a, b in zip(borders[:-1], borders[1:], strict=True):
+    for a, b in pairwise(borders.tolist()):
         here = (at >= a) & (at < b)
         along = heading or (1 if way[here].sum() > 0 else -1 if way[here].sum() < 0 else 0)
         counts.append(int(np.count_nonzero(here & (way == along))))
@@ -153,7 +154,9 @@ def _borders(low: float, high: float, paint: Array, at: Array, centres: Array) -
 
 def _measured(lanes: Sequence[Lane], counts: Sequence[int]) -> tuple[int, int]:
     """First and last of the neighbouring lanes of one heading that carry the most traffic."""
-    used = [lane.heading != 0 and n >= max(1.0, _LEAST_SHARE * max(counts)) for lane, n in zip(lanes, counts, strict=True)]
+    used = [
+        lane.heading != 0 and n >= max(1.0, _LEAST_SHARE * max(counts)) for lane, n in zip(lanes, counts, strict=True)
+    ]
     if not any(used):  # nothing was seen, but the heading is given
         used = [lane.heading != 0 for lane in lanes]
     best, at = -1, (0, 0)

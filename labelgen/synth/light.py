@@ -99,7 +99,14 @@ class Light:
         middle = 0.45
         steep = middle + self.contrast * (value - middle)
         levels = 255 * (self.lift + (1 - self.lift) * steep.clip(0, 1))
-        return np.asarray(np.interp(levels, *zip(*self.tone, strict=True)) if self.tone else levels, dtype=np.float32)
+        return np.asarray(self.toned(levels), dtype=np.float32)
+
+    def toned(self, levels: Any) -> NDArray[np.float64]:
+        """Grey levels after `tone`."""
+        if not self.tone:
+            return np.asarray(levels, dtype=np.float64)
+        steps = np.array(self.tone)
+        return np.asarray(np.interp(levels, steps[:, 0], steps[:, 1]))
 
     @cached_property
     def around(self) -> NDArray[np.float32]:

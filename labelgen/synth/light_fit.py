@@ -15,15 +15,24 @@ from labelgen.synth.light import Light
 from labelgen.synth.sensor import Sensor
 from labelgen.synth.sun_fit import NEAR_SHADOW, Shadows
 
-__all__ = ["Part", "Tones", "fit_to_details", "fit_to_road", "fit_to_shadows", "fit_to_tones", "footage_tones", "tones_of"]
+__all__ = [
+    "Part",
+    "Tones",
+    "fit_to_details",
+    "fit_to_road",
+    "fit_to_shadows",
+    "fit_to_tones",
+    "footage_tones",
+    "tones_of",
+]
 
 _LEAST_SIDE, _PER_VEHICLE, _FEWEST = 20, 500, 6
 _PERCENTILES = (4.0, 50.0, 96.0)
 _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
 _STEEPEST = 1.9
-_LEAST_SKY = 0.08
-_OFF_EDGES = 0.6
+_LEAST_SKY, _SEEN_SKY = 0.08, 0.65
+_OFF_EDGES, _SHARPEST_PX = 0.6, 0.3
 """How far sharpening that suits vehicles may lie from what edges show."""
 
 Mask = NDArray[np.bool_]
@@ -69,7 +78,8 @@ def fit_to_shadows(light: Light, shadows: Shadows) -> Light:
         return light
     shares = np.linspace(0, 1, 201)
     seen = light.grey_levels(shares[:, None] * light.road_radiance).mean(axis=1)
-    sky = max(float(np.interp(shadows.left * seen[-1], seen, shares)), _LEAST_SKY)
+    # The vehicle that casts the shadow hides part of the sky as well.
+    sky = float(np.clip(np.interp(shadows.left * seen[-1], seen, shares) / _SEEN_SKY, _LEAST_SKY, 1.0))
     total = float(light.road_radiance.mean())
     sun = light.sun * max(light.sun_direction[2], 0.05) * light.road
     up, down = (sky * total / float((light.road * light.ambient).mean()), (1 - sky) * total / float(sun.mean()))
@@ -147,20 +157,21 @@ def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:
         real: of the video's vehicles.
         drawn: of vehicles drawn in this light.
     """
-    steps = [
-        (d, d + weight * (r - d)) for r, d, weight in zip(real.grey, drawn.grey, _WEIGHTS, strict=True)
-    ]
+    steps = [(d, d + weight * (r - d)) for r, d, weight in zip(real.grey, drawn.grey, _WEIGHTS, strict=True)]
     (low, to_low), (middle, to_middle), (high, to_high) = steps
     # Levels keep their order, and none is drawn apart so far that bands would show.
     slope = np.clip((to_high - to_low) / max(high - low, 1.0), 1 / _STEEPEST, _STEEPEST)
-    to_middle = float(np.clip(to_middle, to_low + (middle - low) * slope / 1.5, to_high - (high - middle) * slope / 1.5))
+    to_middle = float(
+        np.clip(to_middle, to_low + (middle - low) * slope / 1.5, to_high - (high - middle) * slope / 1.5)
+    )
     dark = float(np.clip(to_low - low * slope, 0, to_low))
     bright = float(np.clip(to_high + (255 - high) * slope, to_high, 255))
     tone = ((0.0, dark), (low, to_low), (middle, to_middle), (high, to_high), (255.0, bright))
-    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.7, 0.5, 1.7))
+    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.9, 0.4, 1.6))
     levels = np.linspace(0, 255, 18)
-    before = np.interp(levels, *zip(*light.tone, strict=True)) if light.tone else levels
-    after = np.interp(before, *zip(*_rising(tone), strict=True))
+    before = light.toned(levels)
+    rising = np.array(_rising(tone))
+    after = np.interp(before, rising[:, 0], rising[:, 1])
     pairs = tuple(zip(levels.tolist(), after.tolist(), strict=True))
     return replace(light, tone=pairs, saturation=light.saturation * colour)
 
@@ -175,7 +186,9 @@ def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) 
     """
     wanted = (1 + sensor.sharpen) * real.fine / max(drawn.fine, 1e-3) - 1
     low, high = max(0.0, measured.sharpen - _OFF_EDGES), measured.sharpen + _OFF_EDGES
-    return replace(sensor, sharpen=float(np.clip(wanted, low, high)))
+    # Where halos would grow too strong, the lens must be sharper.
+    blur = _SHARPEST_PX if wanted > high + _OFF_EDGES else measured.blur_px
+    return replace(sensor, blur_px=blur, sharpen=float(np.clip(wanted, low, high)))
 
 
 def _rising(tone: Any) -> tuple[tuple[float, float], ...]:

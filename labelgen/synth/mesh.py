@@ -49,7 +49,7 @@ class Mesh:
     @cached_property
     def body(self) -> NDArray[np.int32]:
         """(B, 3) the triangles of the body alone, without wing mirrors."""
-        return self.triangles[self.charts != Chart.MIRROR]
+        return np.asarray(self.triangles[self.charts != Chart.MIRROR])
 
     @cached_property
     def body_vertices(self) -> NDArray[np.int64]:

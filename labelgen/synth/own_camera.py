@@ -146,9 +146,7 @@ def _scene(
     return Scene(name, camera, lanes, along, across, road, empty, (-25.0, reach))
 
 
-def _fit_to_vehicles(
-    light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows
-) -> tuple[Light, Sensor]:
+def _fit_to_vehicles(light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows) -> tuple[Light, Sensor]:
     """Light and sensor with which drawn vehicles have the tones and details of real ones."""
     measured = sensor
     for _ in range(_ROUNDS):
@@ -198,7 +196,9 @@ def _words(
     shadow = "none stands out" if shadows.left is None else f"{shadows.left:.0%} of the road's brightness"
     sun = light.sun_direction
     height, aside = np.degrees(np.arcsin(sun[2])), np.degrees(np.arctan2(-sun[1], sun[0]))
-    where = f"{height:.0f} degrees high, {aside:.0f} right of ahead" if light.sun.max() > 0.3 else "hidden"
+    where = f"{height:.0f} degrees high, {aside:.0f} right of ahead" if shadows.sunny else "hidden"
+    if shadows.sunny and shadows.sun is None:
+        where += ", which is a guess: shadows do not tell; give --sun"
     assert sensor.grain is not None
     noise = sensor.grain.grey[len(sensor.grain.grey) // 2]
     return {

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 
-__all__ = ["Lane", "Scene", "carriageways", "line_through", "look_at_road", "procedural_scene", "road_to_image", "visible_range"]
+__all__ = [
+    "Lane",
+    "Scene",
+    "carriageways",
+    "line_through",
+    "look_at_road",
+    "procedural_scene",
+    "road_to_image",
+    "visible_range",
+]
 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0

@@ -20,7 +20,7 @@ from labelgen.synth.grain import Grain
 from labelgen.synth.sensor import HALO_PX, Sensor
 from labelgen.synth.video import VideoWriter
 
-__all__ = ["edge_profile", "fit_sensor", "measure_grain", "quality_of"]
+__all__ = ["edge_profile", "fit_edges", "fit_sensor", "measure_grain", "quality_of"]
 
 _LEVELS = np.linspace(0, 255, 9)
 _FEWEST_PX = 400
@@ -44,7 +44,7 @@ def fit_sensor(footage: Footage) -> Sensor:
     """
     grain = measure_grain(footage.looks, footage.empty, footage.flat)
     greys = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for image in footage.raw[::8]]
-    blur, sharpen = _blur_and_halo(greys)
+    blur, sharpen = fit_edges(greys)
     smear = _smear(footage.raw[::8]) / footage.empty.shape[1]
     crf = _USUAL_CRF
     if footage.packet_bytes is not None:
@@ -173,7 +173,7 @@ def _centred(steps: NDArray[np.float64], across: NDArray[np.float64]) -> NDArray
     return out
 
 
-def _blur_and_halo(greys: list[Plane]) -> tuple[float, float]:
+def fit_edges(greys: list[Plane]) -> tuple[float, float]:
     """Sigma of the lens's blur, px, and strength of the sharpening, as `Sensor` has them."""
     seen = [edge_profile(grey) for grey in greys]
     count = sum(n for _, n in seen)
@@ -206,7 +206,7 @@ def _step(blur: float, sharpen: float) -> NDArray[np.float64]:
     lens += sharpen * (lens - soft(lens, HALO_PX))
     at: NDArray[np.float64] = np.interp(across, x, lens)
     low = np.interp(np.arange(-_REACH_PX, -_REACH_PX + _PLATEAU_PX, fine), x, lens).mean()
-    return (at - low) / (1 - 2 * low)
+    return np.asarray((at - low) / (1 - 2 * low))
 
 
 def _smear(images: NDArray[np.uint8]) -> float:

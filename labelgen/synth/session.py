@@ -136,9 +136,13 @@ def write_session(
     else:
         trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = _folders(out, setting.scene.name, overwrite)
-    done = _render(folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress)
+    done = _render(
+        folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress
+    )
     files = _write_beside(folders, setting, trips, done, fps)
-    return SessionSummary(setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured)
+    return SessionSummary(
+        setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +234,8 @@ def _write_beside(
 
 
 def _render(
-    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int, *,
-    plates: str | None, video: bool, progress: bool,
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int,
+    plates: str | None, *, video: bool, progress: bool,
 ) -> _Done:  # fmt: skip
     from contextlib import ExitStack
 
@@ -266,7 +270,9 @@ def _render(
             if writer is not None:
                 ids = {t.track_id for t in here}
                 renderer.forget({k for k in vehicles if k not in ids})
-                vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps, plates=plates) for t in here}
+                vehicles = {
+                    t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps, plates=plates) for t in here
+                }
                 placed = [place(t, vehicles[t.track_id], time_s) for t in here]
                 image, drawn = renderer.frame(placed, number=number, time_s=time_s)
                 writer.write(image)

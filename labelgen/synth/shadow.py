@@ -56,7 +56,9 @@ def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
     a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
     long = np.abs(b - a)[:, 0] > 0.6
     share = np.linspace(0, 1, 40)[:, None, None]
-    return np.concatenate([vertices[vehicle.mesh.body_vertices], (a[long] + share * (b[long] - a[long])).reshape(-1, 3)])
+    return np.concatenate(
+        [vertices[vehicle.mesh.body_vertices], (a[long] + share * (b[long] - a[long])).reshape(-1, 3)]
+    )
 
 
 def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:

@@ -28,8 +28,12 @@ _BINS, _LEAST_SHARE = 40, 0.05
 _SUNNY_BELOW = 0.66
 """Share of the road's grey levels that shadows under an overcast sky keep at least."""
 _SLOPES = np.linspace(-1.75, 1.75, 15)
-_MOST_CARS, _AGREEING, _LEAST_AGREEMENT = 24, 0.6, 0.4
-_SHIFTS_M = (-0.8, 0.0, 0.8)
+_MOST_CARS, _AGREEING, _LEAST_AGREEMENT = 24, 0.6, 0.33
+_BLACK = 0.12
+"""Share of light below which shadows cannot be told from dark vehicles."""
+_SHIFTS_M = (-1.5, -0.75, 0.0, 0.75)
+_LONG = 0.03
+"""How much the agreement must gain for a shadow that is longer by the height of what casts it."""
 # A car as two boxes: x from and to, half the width, height, metres, its near end at x = 0.
 _BOXES = ((0.0, 4.4, 0.86, 0.88), (1.0, 3.8, 0.70, 1.45))
 
@@ -82,7 +86,7 @@ def find_shadows(footage: Footage, camera: Camera, road: Mask) -> Shadows:
         return Shadows(None, None, 0)
     left = (peak + 0.5) / _BINS
     found = Shadows(left, None, 0)
-    if not found.sunny:
+    if not found.sunny or left < _BLACK:
         return found
     cars = [car for ratio, change in ratios for car in _cars(np.abs(ratio - left) < NEAR_SHADOW, change, camera)]
     if len(cars) < 3:
@@ -113,6 +117,7 @@ def _cars(shadow: Mask, change: Mask, camera: Camera) -> Iterator[_Car]:
         dark = whole & (cv2.morphologyEx(
             shadow[y : y + h, x : x + w].astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
         )  # fmt: skip
+        dark = whole & (cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0)
         body = cv2.morphologyEx((whole & ~dark).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
         if not 0.12 < np.count_nonzero(dark) / area < 0.75 or np.count_nonzero(body) < 60:
             continue
@@ -137,11 +142,12 @@ def _direction(cars: list[_Car], camera: Camera) -> NDArray[np.float64] | None:
     # Dark cars pass for shadows themselves; those that agree with no direction tell nothing.
     best = every.max(axis=(1, 2))
     telling = best >= np.quantile(best, _AGREEING)
-    scores = cv2.GaussianBlur(every[telling].sum(axis=0), (0, 0), 0.7)
-    i, j = np.unravel_index(int(scores.argmax()), scores.shape)
-    if scores[i, j] < _LEAST_AGREEMENT * np.count_nonzero(telling):
+    long = np.hypot(_SLOPES[:, None], _SLOPES)
+    scores = cv2.GaussianBlur(every[telling].mean(axis=0), (0, 0), 0.7) - _LONG * long
+    row, column = divmod(int(scores.argmax()), len(_SLOPES))
+    if scores[row, column] < _LEAST_AGREEMENT:
         return None
-    sun = np.array([-_SLOPES[i], -_SLOPES[j], 1.0])
+    sun = np.array([-_SLOPES[row], -_SLOPES[column], 1.0])
     return np.asarray(sun / np.linalg.norm(sun))
 
 
@@ -151,13 +157,13 @@ def _agreement(car: _Car, camera: Camera, shift: float, along: float, aside: flo
     cast, body = (np.zeros((height, width), dtype=np.uint8) for _ in range(2))
     for x0, x1, half, top in _BOXES:
         corners = np.array([[x, y, z] for x in (x0, x1) for y in (-half, half) for z in (0.1, top)])
-        corners[:, :2] += car.near_xy + [shift, 0.0]
+        corners[:, :2] += [car.near_xy[0] + shift, car.near_xy[1]]
         foot = corners[:, :2] - corners[:, 2:] * [-along, -aside]
         _fill(cast, camera.project(foot), car.origin)
         _fill(body, camera.project(corners), car.origin)
     visible = (cast > 0) & (body == 0)
-    union = np.count_nonzero(visible | car.shadow)
-    return np.count_nonzero(visible & car.shadow) / max(union, 1)
+    union = int(np.count_nonzero(visible | car.shadow))
+    return int(np.count_nonzero(visible & car.shadow)) / max(union, 1)
 
 
 def _fill(into: NDArray[np.uint8], points_px: Any, origin: tuple[int, int]) -> None:

@@ -81,9 +81,7 @@ def check_plates(plates: str | None) -> None:
         raise DataError(f"--plates {plates}: unknown; use one of {', '.join(PLATES)}")
 
 
-def make_vehicle(
-    kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None
-) -> Vehicle:
+def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None) -> Vehicle:
     """A vehicle of a body type, with its own proportions, colour and details.
 
     Args:

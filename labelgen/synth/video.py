@@ -46,7 +46,9 @@ class VideoWriter:
         OutputError: the file cannot be written, or the size is odd.
     """
 
-    def __init__(self, path: Path, fps: float, size_wh: tuple[int, int], crf: int = 21, *, preset: str = "superfast") -> None:
+    def __init__(
+        self, path: Path, fps: float, size_wh: tuple[int, int], crf: int = 21, *, preset: str = "superfast"
+    ) -> None:
         import av
 
         if size_wh[0] % 2 or size_wh[1] % 2:
