@@ -14,9 +14,10 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front", "draw_rear"]
 
 _SEAM = 0.3
-_REFLECTOR: Colour = (0.50, 0.51, 0.53)
-_BEHIND_GLASS: Colour = (0.045, 0.046, 0.05)
+_REFLECTOR: Colour = (0.42, 0.43, 0.45)
+_BEHIND_GLASS: Colour = (0.10, 0.102, 0.108)
 _GLOW: Colour = (1.0, 0.97, 0.88)
+_LAMP_TALL = 1.25
 
 # Head lamps, left half: (share of the front's half-width, metres below the nose).
 _HEAD_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
@@ -145,17 +146,13 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
     shapes = _HEAD_LAMPS[style.lamp]
     nose = shape.nose
     for side in (-1, 1):
-        ring = mirrored([(share * narrow, nose + down) for share, down in shapes], side)
+        ring = mirrored([(share * narrow, nose + _LAMP_TALL * down) for share, down in shapes], side)
         smooth = rounded(ring)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.FRONT, smooth, BLACK, MATTE)
         skin.shadow(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), 0.5, 0.04)
         skin.polygon(Chart.FRONT, middle + 0.86 * (smooth - middle), _BEHIND_GLASS, LAMP)
         skin.bow(Chart.FRONT, smooth, (1.2, 1.5), (0.0, 0.3))
-        # A bright rim inside, along the lower or the upper edge.
-        edge = middle + 0.72 * (smooth - middle)
-        edge = edge[edge[:, 1] < middle[1]] if style.lamp % 2 else edge[edge[:, 1] > middle[1]]
-        skin.line(Chart.FRONT, edge, dim(_REFLECTOR, 0.7), LAMP, 0.018)
         tall = float(np.ptp(smooth[:, 1]))
         for shift, share in ((-0.04, 0.40), (0.30 * float(np.ptp(smooth[:, 0])), 0.28)):
             spot = (float(middle[0]) - side * shift, float(middle[1]))

@@ -96,7 +96,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 
 
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.68, 0.68, 0.66), BLACK, True), ((0.52, 0.36, 0.04), BLACK, True), ((0.05, 0.15, 0.36), (0.6, 0.6, 0.6), False),
+    ((0.68, 0.68, 0.66), BLACK, True), ((0.40, 0.28, 0.06), BLACK, True), ((0.045, 0.10, 0.23), (0.5, 0.5, 0.5), False),
     ((0.66, 0.66, 0.63), (0.05, 0.08, 0.25), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
@@ -171,8 +171,8 @@ def passengers(
     if chart is not Chart.TOP:
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
-    for _ in range(int(rng.integers(10, 26))):  # what else lies, hangs and gleams in there, and what the glass mirrors
-        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.03 if rear else 0.10))))
+    for _ in range(int(rng.integers(5, 14))):  # what else lies, hangs and gleams in there, and what the glass mirrors
+        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.018 if rear else 0.07))))
         place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
         oval(*place, rng.uniform(0.015, 0.14), rng.uniform(0.012, 0.06) * long, (grey * 0.95, grey * 1.05, grey))
     for side in (-0.5, 0.5):

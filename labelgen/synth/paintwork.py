@@ -234,7 +234,7 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         skin.shadow(Chart.TOP, gap, 0.15, 0.04)
         inner = rng.uniform(0.3, 0.6) * half
         crease = [(0.2, side * 0.7 * inner), (back, side * inner)]
-        skin.groove(Chart.TOP, crease, -0.006, 0.03)
+        skin.groove(Chart.TOP, crease, -0.003, 0.04)
         wiper = [(back + 0.05, side * 0.1), (back + 0.10, side * 0.1 + 0.45)]
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     skin.line(Chart.TOP, [(0.16, -0.9 * y), (0.13, 0), (0.16, 0.9 * y)], seam, PAINT)

@@ -93,7 +93,7 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     left = cv2.GaussianBlur(left, (0, 0), 0.07 / _CELL)
     if sun_share > 0.02:
         direction = np.array([sun[0], sun[1], max(sun[2], 0.15)])
-        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.03 / _CELL)
+        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.05 / _CELL)
         left += sun_share * lit.astype(np.float32) / 255
     else:
         left += sun_share

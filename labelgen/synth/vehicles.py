@@ -37,7 +37,7 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.50, 0.42, 0.12), 0.0, 0.005),
 )
 
-_CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.07, 0.10, 0.21), (0.28, 0.06, 0.05), (0.10, 0.16, 0.11))
+_CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.10, 0.12, 0.18), (0.21, 0.08, 0.07), (0.11, 0.14, 0.12))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     mesh = body.mesh if kind == "motorcycle" else join([body.mesh, *wing_mirrors(body.shape)])
-    cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
+    cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
     # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
     spread = 0.006 + 0.10 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
     red, green, blue = (np.array(body.colour) * rng.normal(1, spread, 3).clip(0.75, 1.25)).clip(0, 0.75).tolist()
