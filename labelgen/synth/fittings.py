@@ -96,7 +96,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 
 
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.68, 0.68, 0.66), BLACK, True), ((0.40, 0.28, 0.06), BLACK, True), ((0.045, 0.10, 0.23), (0.5, 0.5, 0.5), False),
+    ((0.68, 0.68, 0.66), BLACK, True), ((0.48, 0.33, 0.06), BLACK, True), ((0.045, 0.10, 0.23), (0.5, 0.5, 0.5), False),
     ((0.66, 0.66, 0.63), (0.05, 0.08, 0.25), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
@@ -117,8 +117,8 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     for k in range(7):
         if k == 3:
             continue
-        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.62 * tall
-        for _ in range(int(rng.integers(2, 5))):  # strokes
+        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.55 * tall
+        for _ in range(int(rng.integers(1, 4))):  # strokes
             if rng.random() < 0.5:
                 at = left + rng.uniform(0, wide - 0.012)
                 skin.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)

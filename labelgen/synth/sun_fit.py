@@ -28,7 +28,7 @@ _BINS, _LEAST_SHARE = 40, 0.05
 _SUNNY_BELOW = 0.66
 """Share of the road's grey levels that shadows under an overcast sky keep at least."""
 _SLOPES = np.linspace(-1.75, 1.75, 15)
-_MOST_CARS, _AGREEING, _LEAST_AGREEMENT = 24, 0.6, 0.33
+_MOST_CARS, _AGREEING, _LEAST_AGREEMENT = 24, 0.6, 0.30
 _BLACK = 0.12
 """Share of light below which shadows cannot be told from dark vehicles."""
 _SHIFTS_M = (-1.5, -0.75, 0.0, 0.75)

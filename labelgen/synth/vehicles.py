@@ -103,7 +103,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
     mesh = body.mesh if kind == "motorcycle" else join([body.mesh, *wing_mirrors(body.shape)])
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
     # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
-    spread = 0.006 + 0.10 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
+    spread = 0.006 + 0.05 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
     red, green, blue = (np.array(body.colour) * rng.normal(1, spread, 3).clip(0.75, 1.25)).clip(0, 0.75).tolist()
     colour = (red, green, blue)
     if kind == "motorcycle":
