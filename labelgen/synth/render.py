@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from labelgen.geometry import Camera
 from labelgen.synth.glints import Stars
 from labelgen.synth.light import Light
+from labelgen.synth.mesh import Mesh
 from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
 from labelgen.synth.sensor import PLAIN, Sensor
 from labelgen.synth.shadow import GroundShadow, ground_shadow
@@ -262,11 +263,11 @@ class Renderer:
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
         # A pixel belongs to the mask if the vehicle covers its centre.
-        centres = visible_triangles(screen, mesh.body, size, origin, 1, True)
+        centres = visible_triangles(screen, mesh.triangles, size, origin, 1, True)
         hidden = None if self.still is None else self.still.in_front(window, placed.bounds)
         if image is not None:
-            self._paint(image, placed, screen, window, hidden)
-        mask = centres >= 0
+            self._paint(image, placed, screen, centres, window, hidden)
+        mask = _body_mask(centres, screen, mesh, origin)
         alone = int(np.count_nonzero(mask))
         if hidden is not None:
             mask &= hidden < 128
@@ -275,7 +276,7 @@ class Renderer:
         return _Layer(placed.track_id, mask, alone, (x0, y0), outline)
 
     def _paint(
-        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64],
+        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64], centres: NDArray[np.int32],
         window: tuple[int, int, int, int], hidden: NDArray[np.uint8] | None,
     ) -> None:  # fmt: skip
         """Shade a vehicle and lay it over its window of the frame, save what stands before it."""
@@ -283,7 +284,7 @@ class Renderer:
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
         ss = 3 if max(size) < 110 else 2 if max(size) < 500 else 1
-        ids = visible_triangles(screen, mesh.triangles, size, origin, ss, True)
+        ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)
         layer: Any = shade(
@@ -345,6 +346,21 @@ class _Layer:
     alone: int
     origin_px: tuple[int, int]
     outline_xyxy: NDArray[np.float64]
+
+
+def _body_mask(
+    ids: NDArray[np.int32], screen: NDArray[np.float64], mesh: Mesh, origin: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """The pixels whose centre the body covers: what is drawn without what is not of the body."""
+    mask = ids >= 0
+    beside = ids >= len(mesh.body)
+    rows, columns = np.flatnonzero(beside.any(axis=1)), np.flatnonzero(beside.any(axis=0))
+    if len(rows):
+        x, y = int(columns[0]), int(rows[0])
+        part = np.s_[y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
+        size = (int(columns[-1]) + 1 - x, int(rows[-1]) + 1 - y)
+        mask[part] = visible_triangles(screen, mesh.body, size, (origin[0] + x, origin[1] + y), 1, True) >= 0
+    return mask
 
 
 def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:

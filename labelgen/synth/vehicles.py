@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
             skin.fill(chart, body.colour, PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
-    mesh = body.mesh if kind == "motorcycle" else join([body.mesh, *wing_mirrors(body.shape)])
+    mesh = body.mesh if kind == "motorcycle" else _with_mirrors(body.mesh, body.shape)
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
     # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
     spread = 0.006 + 0.05 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
@@ -148,8 +148,14 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
     return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
 
 
+def _with_mirrors(mesh: Mesh, shape: Shape) -> Mesh:
+    mirrors = wing_mirrors(shape)
+    return replace(join([mesh, *mirrors]), extra=sum(len(m.triangles) for m in mirrors))
+
+
 def _body_size(mesh: Mesh) -> NDArray[np.float64]:
-    return np.asarray(np.ptp(mesh.vertices[mesh.body_vertices], axis=0))
+    body = mesh.vertices[mesh.triangles[mesh.charts != Chart.MIRROR]]
+    return np.asarray(np.ptp(body.reshape(-1, 3), axis=0))
 
 
 def _shares() -> NDArray[np.float64]:

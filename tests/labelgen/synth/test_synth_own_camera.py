@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from labelgen.cli import main
 from labelgen.commands.synth import synth_app
+from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.sources.pickles import load_pickle
 from labelgen.synth.footage import Footage, read_footage
@@ -140,15 +141,11 @@ def test_what_cannot_be_is_one_line(
 
 def test_a_mask_of_another_size_is_told(made: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "small.png"), np.full((90, 160), 255, np.uint8))
-    from labelgen.errors import DataError
-
     with pytest.raises(DataError, match="160x90, but the video has 640x360"):
         write_session(tmp_path, scene=made / f"{NAME}.avi", road_mask=tmp_path / "small.png", say=str)
 
 
 def test_a_video_too_short_to_show_the_road_is_told(tmp_path: Path) -> None:
-    from labelgen.errors import DataError
-
     with VideoWriter(tmp_path / "short.avi", 10, SIZE) as writer:
         for _ in range(3):
             writer.write(np.zeros((360, 640, 3), np.uint8))
@@ -213,8 +210,6 @@ def test_a_sky_as_bright_as_shadows_say() -> None:
 
 
 def test_lanes_need_room_and_traffic() -> None:
-    from labelgen.errors import DataError
-
     scene = procedural_scene(np.random.default_rng(2), SIZE, heading=-1)
     empty = np.full((360, 640, 3), 90, np.uint8)
     with pytest.raises(DataError, match="give --heading"):
