@@ -25,7 +25,7 @@ _STILL_PX = 0.35
 """How far a fixed camera's picture may seem to move."""
 _DENSEST = 0.4
 """Share of the looks that agree where the road is seen."""
-_BAND = 16
+_BAND, _LOOSE = 16, 30
 _RUN, _PACKETS = 48, 1500
 
 Image = NDArray[np.uint8]
@@ -164,18 +164,26 @@ def _held_still(looks: Image) -> tuple[Image, float]:
 
 
 def _densest(looks: Image) -> Image:
-    """Per pixel the middle of the values that lie closest together: the road, where vehicles differ in colour.
+    """Per pixel the middle of the looks that agree most in brightness: the road, where vehicles differ.
 
     A median would need the road to be seen in half of the looks.
     """
     out = np.empty(looks.shape[1:], dtype=np.uint8)
+    loose = np.zeros(looks.shape[1:3], dtype=np.bool_)
     share = max(3, round(_DENSEST * len(looks)))
     for row in range(0, len(out), _BAND):
-        band = np.sort(looks[:, row : row + _BAND], axis=0)
-        width = band[share - 1 :].astype(np.int16) - band[: len(band) - share + 1]
+        band = looks[:, row : row + _BAND]
+        grey = (band @ np.array([29, 150, 77], dtype=np.uint16) >> 8).astype(np.int16)
+        order = np.argsort(grey, axis=0, kind="stable")
+        grey = np.take_along_axis(grey, order, axis=0)
+        width = grey[share - 1 :] - grey[: len(grey) - share + 1]
         # Of equally dense stretches the middle one, so that an even scene gives its median.
-        level = width.min(axis=0)
-        dense = width == level[None]
+        dense = width == width.min(axis=0)[None]
+        loose[row : row + _BAND] = width.min(axis=0) > _LOOSE
         first = (dense.argmax(axis=0) + len(dense) - 1 - dense[::-1].argmax(axis=0)) // 2
-        out[row : row + _BAND] = np.take_along_axis(band, (first + share // 2)[None], axis=0)[0]
+        agreeing = np.take_along_axis(order, first[None] + np.arange(share)[:, None, None], axis=0)
+        colours = np.take_along_axis(band, agreeing[..., None], axis=0)
+        out[row : row + _BAND] = np.partition(colours, share // 2, axis=0)[share // 2]
+    # Where something stood for most of the time the looks agree on nothing: an even blot is better than specks.
+    out[loose] = cv2.medianBlur(out, 7)[loose]
     return out

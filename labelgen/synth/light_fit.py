@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 _LEAST_SIDE, _PER_VEHICLE, _FEWEST = 20, 500, 6
-_PERCENTILES = (4.0, 50.0, 96.0)
+_PERCENTILES = (4.0, 50.0, 98.5)
 _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
 _STEEPEST = 1.9
