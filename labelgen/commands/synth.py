@@ -41,14 +41,45 @@ def boxcars(
 def session(
     out: _Out,
     duration: Annotated[float, typer.Option("--duration", min=0.04, metavar="S", help="Length in seconds.")] = 20.0,
-    fps: Annotated[float, typer.Option("--fps", min=1, max=120, help="Frames per second.")] = 25.0,
+    fps: Annotated[
+        float | None,
+        typer.Option("--fps", min=1, max=120, help="Frames per second; 25, or those of --scene's video, by default."),
+    ] = None,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Frame size; with --scene its picture's.")] = (
         "1920x1080"
     ),
     seed: _Seed = 0,
     scene: Annotated[
         Path | None,
-        typer.Option("--scene", metavar="DIR", help="Real session (ROOT/dataset/NAME) to put the traffic into."),
+        typer.Option(
+            "--scene",
+            metavar="PATH",
+            help="Where to put the traffic: a real session (ROOT/dataset/NAME), or your own camera's video.",
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration", metavar="FILE", help="Of --scene's video; by default beside it, or made from the video."
+        ),
+    ] = None,
+    road_mask: Annotated[
+        Path | None,
+        typer.Option(
+            "--road-mask", metavar="FILE", help="Of --scene's video; by default beside it, or made from the video."
+        ),
+    ] = None,
+    heading: Annotated[
+        str | None,
+        typer.Option("--heading", metavar="WAY", help="away or closer; by default as the video shows, or at random."),
+    ] = None,
+    sun: Annotated[
+        str | None,
+        typer.Option(
+            "--sun",
+            metavar="HEIGHT,RIGHT",
+            help="With a video: degrees above the horizon and right of straight ahead; by default from its shadows.",
+        ),
     ] = None,
     replay: Annotated[bool, typer.Option("--replay", help="Re-enact the scene's recorded traffic.")] = False,
     start: Annotated[
@@ -62,10 +93,15 @@ def session(
     bodies: Annotated[
         str | None, typer.Option("--bodies", metavar="NAME,...", help="Body types to use; all by default.")
     ] = None,
+    plates: Annotated[
+        str | None,
+        typer.Option("--plates", help="european, yellow, blue or short number plates; all kinds by default."),
+    ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Without: 3D boxes and tracks only.")] = True,
-    name: Annotated[str, typer.Option("--name", help="Name of the session; with --scene the real one's.")] = (
-        "session0_center"
-    ),
+    name: Annotated[
+        str | None,
+        typer.Option("--name", help="Name of the session; session0_center, or that of --scene, by default."),
+    ] = None,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -75,7 +111,7 @@ def session(
     """
     from dataclasses import asdict
 
-    from labelgen.commands.common import print_table, write_json_report
+    from labelgen.commands.common import note, print_table, write_json_report
     from labelgen.geometry import parse_size
     from labelgen.synth.light import Weather
     from labelgen.synth.session import write_session
@@ -90,9 +126,15 @@ def session(
         weather=None if weather is None else Weather.parse(weather),
         per_minute=traffic,
         kinds=None if bodies is None else [b.strip() for b in bodies.split(",")],
+        plates=plates,
         scene=scene,
         replay=replay,
         start_s=start,
+        calibration=calibration,
+        road_mask=road_mask,
+        heading=_way(heading),
+        sun=_sun(sun),
+        say=note,
         video=video,
         overwrite=overwrite,
         progress=True,
@@ -100,6 +142,32 @@ def session(
     report = asdict(summary)
     typer.echo(f"synthetic session {summary.name}" + ("" if summary.complete else ", ended early"))
     print_table([*((k, report[k]) for k in ("frames", "vehicles", "masks")), *summary.files.items()])
+    if summary.measured:
+        typer.echo("measured on the video")
+        print_table(list(summary.measured.items()))
     write_json_report(json_file, report)
     if not summary.complete:
         raise typer.Exit(130)
+
+
+def _way(text: str | None) -> int | None:
+    from labelgen.errors import LabelgenError
+
+    ways = {None: None, "away": 1, "closer": -1}
+    if text not in ways:
+        raise LabelgenError(f"--heading {text}: unknown; use away or closer")
+    return ways[text]
+
+
+def _sun(text: str | None) -> tuple[float, float] | None:
+    from labelgen.errors import LabelgenError
+
+    if text is None:
+        return None
+    try:
+        height, right = (float(part) for part in text.split(","))
+    except ValueError:
+        height = right = float("nan")
+    if not (0 < height <= 90 and -360 <= right <= 360):
+        raise LabelgenError(f"--sun {text}: expected HEIGHT,RIGHT in degrees, the height over 0 and up to 90")
+    return height, right

@@ -24,7 +24,7 @@ from labelgen.labels import Split
 from labelgen.manifest import load_manifest
 from labelgen.sources.image_file import read_image
 
-__all__ = ["Scene", "find_scene", "find_scene_parts", "read_mask"]
+__all__ = ["Scene", "find_scene", "find_scene_parts", "is_session", "read_mask"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,12 @@ class Scene:
         if group in rules["train"]:
             return Split.VALIDATION if frame < rules["validation_frames"] else Split.TRAIN
         return Split.NONE
+
+
+def is_session(folder: Path) -> bool:
+    """Whether a folder is a session's of the BrnoCompSpeed layout."""
+    layout = load_manifest("brnocompspeed")["layout"]
+    return any((folder / layout[part]).is_file() for part in ("road_mask", "ground_truth"))
 
 
 def find_scene(
@@ -114,8 +120,7 @@ def _find(
         raise DataError(f"{path}: no such file or folder")
     layout = load_manifest("brnocompspeed")["layout"]
     folder = path.resolve() if path.is_dir() else path.resolve().parent
-    is_session = (folder / layout["road_mask"]).is_file() or (folder / layout["ground_truth"]).is_file()
-    if is_session and (path.is_dir() or path.name in (*layout["videos"], layout["empty_road"])):
+    if is_session(folder) and (path.is_dir() or path.name in (*layout["videos"], layout["empty_road"])):
         return _session(path, folder, layout, calibration, road_mask, need_frames)
     missing: dict[str, str] = {}
     places = _beside(path, ".calibration.json")

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.mesh import Chart, Mesh, box_mesh, join, loft, wheel_mesh
+from labelgen.synth.mesh import Chart, Mesh, box_mesh, join, loft, tube_mesh, wheel_mesh
 from labelgen.synth.shapes import Shape
 
-__all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line"]
+__all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line", "wing_mirrors"]
 
 MIRROR = 0.01
 """How far a wing mirror stands out from the body, metres."""
@@ -112,6 +112,23 @@ def _mirrors(shape: Shape) -> list[Mesh]:
     z = shape.belt + 0.02
     lows = [(x - 0.04, -out - MIRROR, z), (x - 0.04, out - 0.11, z)]
     return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.11, z + tall), chart=Chart.MIRROR) for low in lows]
+
+
+def wing_mirrors(shape: Shape) -> list[Mesh]:
+    """What of a car's wing mirrors stands out from its body, on a short foot; in the frame of `body_mesh`.
+
+    They are drawn, but belong neither to the body's cuboid nor to its mask.
+    """
+    if shape.cargo is not None or shape.kind == "bus":
+        return []
+    d = shape.cowl[0] + 0.36 * (shape.roof_front[0] - shape.cowl[0]) + 0.06
+    x, half, z = shape.length / 2 - d, shape.width / 2, shape.belt + (0.10 if shape.kind == "van" else 0.045)
+    thick = 0.12 if shape.kind == "van" else 0.08
+    # Across: foot, the housing's inner end, its middle, its outer end; it leans back a little.
+    across = (-0.10, -0.04, 0.0, 0.075, 0.105)
+    radii = (0.025, 0.035, 0.9 * thick, thick, 0.55 * thick)
+    spines = [[(x - 0.3 * max(y, 0), side * (half + y), z + 0.2 * y) for y in across] for side in (1, -1)]
+    return [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8) for spine in spines]
 
 
 def body_mesh(shape: Shape) -> Mesh:

@@ -14,9 +14,10 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front", "draw_rear"]
 
 _SEAM = 0.3
-_REFLECTOR: Colour = (0.50, 0.51, 0.53)
-_BEHIND_GLASS: Colour = (0.045, 0.046, 0.05)
+_REFLECTOR: Colour = (0.42, 0.43, 0.45)
+_BEHIND_GLASS: Colour = (0.10, 0.102, 0.108)
 _GLOW: Colour = (1.0, 0.97, 0.88)
+_LAMP_TALL = 1.25
 
 # Head lamps, left half: (share of the front's half-width, metres below the nose).
 _HEAD_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
@@ -42,6 +43,7 @@ def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
     skin.emboss(Chart.FRONT, [(-half, 0), (half, 0), (half, bumper_top), (-half, bumper_top)], 0.02)
     _bow_end(skin, Chart.FRONT, half, (foot, bumper_top, nose), rng)
     _windscreen(skin, shape, style, rng)
+    _air_dam(skin, narrow, foot + style.cladding, rng)
     _grille(skin, shape, style, narrow, bumper_top, rng)
     _head_lamps(skin, shape, style, narrow, lamps)
     _fog_lamps(skin, narrow, foot + style.cladding + 0.06, rng)
@@ -50,6 +52,14 @@ def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.shadow(Chart.FRONT, line, 0.25)
     low = max(foot + 0.10, bumper_top - rng.uniform(0.06, 0.16))
     plate(skin, Chart.FRONT, (0, low), style.plate, rng)
+
+
+def _air_dam(skin: Skin, narrow: float, foot: float, rng: np.random.Generator) -> None:
+    """Unpainted plastic below the bumper, and the shadow in which its foot lies."""
+    high = foot + rng.uniform(0.02, 0.10)
+    ring = [(-narrow, foot - 0.12), (narrow, foot - 0.12), (0.95 * narrow, foot), (0.7 * narrow, high)]
+    skin.polygon(Chart.FRONT, [*ring, (-0.7 * narrow, high), (-0.95 * narrow, foot)], TRIM, MATTE)
+    skin.shadow(Chart.FRONT, [(-narrow, foot), (narrow, foot)], 0.45, 0.16)
 
 
 def _bow_end(
@@ -97,7 +107,7 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         if style.chrome:
             skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), CHROME_TONE, CHROME, 0.015)
 
-    deep = rng.uniform(0.12, 0.22)
+    deep = rng.uniform(0.15, 0.27)
     lower = (foot, min(foot + deep, bumper_top - 0.06))
     if family == 0:  # a bar between the lamps, a wide mouth below
         opening(rng.uniform(0.45, 0.6) * narrow, top - rng.uniform(0.12, 0.2), top)
@@ -136,7 +146,7 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
     shapes = _HEAD_LAMPS[style.lamp]
     nose = shape.nose
     for side in (-1, 1):
-        ring = mirrored([(share * narrow, nose + down) for share, down in shapes], side)
+        ring = mirrored([(share * narrow, nose + _LAMP_TALL * down) for share, down in shapes], side)
         smooth = rounded(ring)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.FRONT, smooth, BLACK, MATTE)
@@ -164,7 +174,7 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
 
 
 def _fog_lamps(skin: Skin, narrow: float, z: float, rng: np.random.Generator) -> None:
-    style = int(rng.integers(4))
+    style = int(rng.choice(4, p=[0.3, 0.4, 0.15, 0.15]))
     for side in (-1, 1):
         centre = (side * 0.80 * narrow, z)
         if style == 0:

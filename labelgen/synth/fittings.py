@@ -17,6 +17,7 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = [
     "BLACK",
     "CHROME_TONE",
+    "PLATES",
     "TRIM",
     "Style",
     "draw_wheels",
@@ -65,14 +66,19 @@ class Style:
     plate_high: bool
 
 
-def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
-    """A style that suits a body."""
+PLATES = ("european", "yellow", "blue", "short")
+"""Families of number plates: white with a blue strip; yellow; blue with white letters; short and white."""
+
+
+def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = None) -> Style:
+    """A style that suits a body. `plates`: one of `PLATES`, any when None."""
     rugged = shape.kind in ("suv", "pickup", "van") and rng.random() < 0.6
     clear = rng.uniform(0.006, 0.035)
     private = clear if rng.random() < 0.55 else 0.006
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
         rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
+    family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
         grille=int(rng.integers(7)),
         lamp=int(rng.integers(6)),
@@ -84,13 +90,13 @@ def sample_style(shape: Shape, rng: np.random.Generator) -> Style:
         rear_glass=(private, private * 1.1, private * 1.1),
         dark_roof=bool(rng.random() < 0.08),
         rails=rails,
-        plate=int(rng.choice(4, p=[0.55, 0.15, 0.15, 0.15])),
+        plate=family if plates is None else PLATES.index(plates),
         plate_high=bool(rng.random() < 0.6),
     )
 
 
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.68, 0.68, 0.66), BLACK, True), ((0.52, 0.36, 0.04), BLACK, True), ((0.05, 0.15, 0.36), (0.6, 0.6, 0.6), False),
+    ((0.68, 0.68, 0.66), BLACK, True), ((0.48, 0.33, 0.06), BLACK, True), ((0.045, 0.10, 0.23), (0.5, 0.5, 0.5), False),
     ((0.66, 0.66, 0.63), (0.05, 0.08, 0.25), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
@@ -111,8 +117,8 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     for k in range(7):
         if k == 3:
             continue
-        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.62 * tall
-        for _ in range(int(rng.integers(2, 5))):  # strokes
+        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.55 * tall
+        for _ in range(int(rng.integers(1, 4))):  # strokes
             if rng.random() < 0.5:
                 at = left + rng.uniform(0, wide - 0.012)
                 skin.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)
@@ -165,8 +171,8 @@ def passengers(
     if chart is not Chart.TOP:
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
-    for _ in range(int(rng.integers(10, 26))):  # what else lies, hangs and gleams in there, and what the glass mirrors
-        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.03 if rear else 0.10))))
+    for _ in range(int(rng.integers(5, 14))):  # what else lies, hangs and gleams in there, and what the glass mirrors
+        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.018 if rear else 0.07))))
         place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
         oval(*place, rng.uniform(0.015, 0.14), rng.uniform(0.012, 0.06) * long, (grey * 0.95, grey * 1.05, grey))
     for side in (-0.5, 0.5):
@@ -188,7 +194,7 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     """Tyres, rims in one of several families, hubs."""
     skin.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
     family = int(rng.integers(4))
-    bright = float(rng.choice([0.03, 0.18, 0.36, 0.5], p=[0.2, 0.25, 0.35, 0.2]))
+    bright = float(rng.choice([0.03, 0.10, 0.20, 0.32], p=[0.2, 0.3, 0.35, 0.15]))
     rim: Colour = (bright, bright, bright * 1.03)
     spokes = int(rng.integers(5, 11))
     heavy = shape.wheel > 0.42

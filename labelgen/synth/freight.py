@@ -16,7 +16,9 @@ _STEEL: Colour = (0.26, 0.26, 0.27)
 
 
 def _ink(rng: np.random.Generator) -> Colour:
-    red, green, blue = (rng.uniform(0.01, 0.6, 3) ** 1.3).tolist()
+    """Letters and bands: some colour, faded by sun and dust."""
+    bright = rng.uniform(0.01, 0.6, 3) ** 1.3
+    red, green, blue = (0.6 * bright + 0.4 * bright.mean()).tolist()
     return red, green, blue
 
 

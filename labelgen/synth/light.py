@@ -56,6 +56,7 @@ class Light:
         saturation: 1 keeps colours, 0 is grey.
         contrast: steepness of the camera's curve around middle grey.
         lift: grey level, 0 to 1, to which black is raised.
+        tone: pairs of grey levels, rising: what the camera makes of what the curve gives; straight when empty.
     """
 
     weather: Weather
@@ -73,6 +74,7 @@ class Light:
     saturation: float = 1.0
     contrast: float = 1.0
     lift: float = 0.0
+    tone: tuple[tuple[float, float], ...] = ()
 
     @property
     def ambient(self) -> NDArray[np.float64]:
@@ -96,7 +98,15 @@ class Light:
         value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value) ** (1 / 2.2)
         middle = 0.45
         steep = middle + self.contrast * (value - middle)
-        return np.asarray(255 * (self.lift + (1 - self.lift) * steep.clip(0, 1)), dtype=np.float32)
+        levels = 255 * (self.lift + (1 - self.lift) * steep.clip(0, 1))
+        return np.asarray(self.toned(levels), dtype=np.float32)
+
+    def toned(self, levels: Any) -> NDArray[np.float64]:
+        """Grey levels after `tone`."""
+        if not self.tone:
+            return np.asarray(levels, dtype=np.float64)
+        steps = np.array(self.tone)
+        return np.asarray(np.interp(levels, steps[:, 0], steps[:, 1]))
 
     @cached_property
     def around(self) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -38,12 +39,24 @@ class Mesh:
         triangles: (T, 3) int32.
         normals: (T, 3, 3) float32 unit normals at the corners.
         charts: (T,) uint8, `Chart`.
+        extra: how many of the last triangles are drawn without belonging to the body, as wing mirrors that stand out.
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     normals: NDArray[np.float32]
     charts: NDArray[np.uint8]
+    extra: int = 0
+
+    @property
+    def body(self) -> NDArray[np.int32]:
+        """(B, 3) the triangles of the body alone."""
+        return self.triangles[: len(self.triangles) - self.extra]
+
+    @cached_property
+    def body_vertices(self) -> NDArray[np.int64]:
+        """(N,) numbers of the vertices of `body`."""
+        return np.unique(self.body)
 
 
 @numba.njit(cache=True, nogil=True)

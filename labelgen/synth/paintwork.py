@@ -22,8 +22,9 @@ _SEAM = 0.3
 
 
 def draw_skin(
-    shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool
-) -> Skin:
+    shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool,
+    plates: str | None = None,
+) -> Skin:  # fmt: skip
     """The skin of one vehicle.
 
     Args:
@@ -32,13 +33,14 @@ def draw_skin(
         paint, cargo: linear RGB.
         rng: decides style, plates, trim and wheels.
         lamps: whether its lamps are on.
+        plates: one of `PLATES`; any when None.
     """
     skin = Skin(extent_lwh)
-    style = sample_style(shape, rng)
+    style = sample_style(shape, rng, plates)
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
         skin.fill(chart, paint, PAINT)
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
-    skin.fill(Chart.MIRROR, paint if rng.random() < 0.7 else TRIM, PAINT)
+    skin.fill(Chart.MIRROR, dim(paint, 0.7) if rng.random() < 0.6 else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_front(skin, shape, paint, style, rng, lamps)
@@ -232,7 +234,7 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         skin.shadow(Chart.TOP, gap, 0.15, 0.04)
         inner = rng.uniform(0.3, 0.6) * half
         crease = [(0.2, side * 0.7 * inner), (back, side * inner)]
-        skin.groove(Chart.TOP, crease, -0.006, 0.03)
+        skin.groove(Chart.TOP, crease, -0.003, 0.04)
         wiper = [(back + 0.05, side * 0.1), (back + 0.10, side * 0.1 + 0.45)]
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     skin.line(Chart.TOP, [(0.16, -0.9 * y), (0.13, 0), (0.16, 0.9 * y)], seam, PAINT)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from labelgen.geometry import Camera
 from labelgen.synth.glints import Stars
 from labelgen.synth.light import Light
+from labelgen.synth.mesh import Mesh
 from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
 from labelgen.synth.sensor import PLAIN, Sensor
 from labelgen.synth.shadow import GroundShadow, ground_shadow
@@ -72,10 +73,10 @@ class Drawn:
 
     Args:
         track_id: number of the vehicle.
-        mask: (h, w) bool, its visible pixels.
+        mask: (h, w) bool, its visible pixels without those of wing mirrors that stand out.
         origin_px: (x, y) frame px of the mask's first pixel.
         visible: share of the pixels it would cover alone that are visible.
-        outline_xyxy: (4,) px, around its projected mesh, hidden and outside parts included.
+        outline_xyxy: (4,) px, around its projected mesh without wing mirrors, hidden and outside parts included.
     """
 
     track_id: int
@@ -126,25 +127,26 @@ class Renderer:
         background: (H, W, 3) uint8 BGR, the empty road.
         light: sun, sky and sensor.
         seed: of the noise.
-        softness: sigma of the lens's blur on vehicles, px.
         still: what stands in the background and may hide vehicles.
         sensor: what the camera does to the whole frame.
     """
 
     def __init__(
-        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int, softness: float = 0.5,
+        self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int,
         still: Still | None = None, sensor: Sensor = PLAIN,
     ) -> None:  # fmt: skip
         self.sensor = sensor
         self.still = still
         self._shade = NO_SHADE if still is None else still.shade
-        self.camera, self.background, self.light, self.softness = camera, background, light, softness
+        self.camera, self.background, self.light = camera, background, light
+        self._road = sensor.unsharpened(background) if sensor.in_picture else background
         self._packed = light.packed()
         self._shadows: dict[int, GroundShadow] = {}
         self._rng = np.random.default_rng([seed, 77])
         height, width = background.shape[:2]
         self.size_wh = (width, height)
-        self._noise = self._noise_tile()
+        grain = sensor.grain
+        self._noise: NDArray[Any] = self._noise_tile() if grain is None else grain.tile(self.size_wh, self._rng)
         arms = sensor.arms * width if light.sun.max() > _SUNNY else 0.0
         self._stars = Stars(arms, np.random.default_rng([seed, 78]))
 
@@ -171,13 +173,13 @@ class Renderer:
         Returns:
             (H, W, 3) uint8 BGR, and one `Drawn` per vehicle with at least one visible pixel.
         """
-        image = self.background.copy()
+        image = self._road.copy()
         ordered = [vehicles[i] for i in painting_order(vehicles)]
         for placed in ordered:
             self._cast_shadow(image, placed)
         layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
         drawn = _visible_parts(layers)
-        image = self.sensor.before_noise(image)
+        image = self._into_picture(image) if self.sensor.in_picture else self.sensor.before_noise(image)
         self._add_noise(image, number)
         self.sensor.write(image, time_s)
         return image, drawn
@@ -265,11 +267,12 @@ class Renderer:
         hidden = None if self.still is None else self.still.in_front(window, placed.bounds)
         if image is not None:
             self._paint(image, placed, screen, centres, window, hidden)
-        mask = centres >= 0
+        mask = _body_mask(centres, screen, mesh, origin)
         alone = int(np.count_nonzero(mask))
         if hidden is not None:
             mask &= hidden < 128
-        outline = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+        body = pixels[mesh.body_vertices]
+        outline = np.concatenate([body.min(axis=0), body.max(axis=0)])
         return _Layer(placed.track_id, mask, alone, (x0, y0), outline)
 
     def _paint(
@@ -296,7 +299,7 @@ class Renderer:
 
     def _soften(self, layer: Any, placed: Placed) -> Any:
         """Lens blur, and motion blur along the vehicle's path in the image."""
-        layer = cv2.GaussianBlur(layer, (0, 0), self.softness)
+        layer = cv2.GaussianBlur(layer, (0, 0), self.sensor.blur_px)
         x, y = placed.centre_xy
         step = placed.speed_ms * self.light.shutter_s
         ends = self.camera.project(np.array([[x, y, 0.5], [x + step, y, 0.5]]))
@@ -315,7 +318,21 @@ class Renderer:
             layer = cv2.addWeighted(ahead, 0.5, behind, 0.5, 0.0)
         return layer
 
+    def _into_picture(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The picture, which has the camera's faults already, with what was drawn on the road as it was before them."""
+        out = self.background.copy()
+        rows = np.flatnonzero((image != self._road).any(axis=(1, 2)))
+        if len(rows):
+            band = slice(max(0, int(rows[0]) - _MARGIN), int(rows[-1]) + _MARGIN)
+            change: Any = cv2.subtract(image[band], self._road[band], dtype=cv2.CV_32F)
+            change = self.sensor.sharpened(change, self.size_wh[0])
+            cv2.add(out[band], change, dst=out[band], dtype=cv2.CV_8U)
+        return out
+
     def _add_noise(self, image: NDArray[np.uint8], number: int) -> None:
+        if self.sensor.grain is not None:
+            self.sensor.grain.add(image, self._noise, number)
+            return
         width, height = self.size_wh
         rng = np.random.default_rng([number, 5])
         dx, dy = rng.integers(0, 128, 2).tolist()
@@ -329,6 +346,21 @@ class _Layer:
     alone: int
     origin_px: tuple[int, int]
     outline_xyxy: NDArray[np.float64]
+
+
+def _body_mask(
+    ids: NDArray[np.int32], screen: NDArray[np.float64], mesh: Mesh, origin: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """The pixels whose centre the body covers: what is drawn without what is not of the body."""
+    mask = ids >= 0
+    beside = ids >= len(mesh.body)
+    rows, columns = np.flatnonzero(beside.any(axis=1)), np.flatnonzero(beside.any(axis=0))
+    if len(rows):
+        x, y = int(columns[0]), int(rows[0])
+        part = np.s_[y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
+        size = (int(columns[-1]) + 1 - x, int(rows[-1]) + 1 - y)
+        mask[part] = visible_triangles(screen, mesh.body, size, (origin[0] + x, origin[1] + y), 1, True) >= 0
+    return mask
 
 
 def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:

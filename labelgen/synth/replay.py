@@ -20,6 +20,7 @@ from labelgen.geometry import Camera
 from labelgen.geometry.hull import binary_mask
 from labelgen.sources.pickles import load_pickle
 from labelgen.synth.light import Light, Weather, make_light
+from labelgen.synth.light_fit import fit_to_road
 from labelgen.synth.scenes import FARTHEST_M, Lane, Scene, road_to_image
 from labelgen.synth.traffic import Trip, near_path_x
 from labelgen.synth.vehicles import body_kinds, vehicle_size
@@ -61,7 +62,7 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
         )
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
-    light = _fitted_light(make_light(weather, rng), background, mask)
+    light = fit_to_road(make_light(weather, rng), background, mask)
     scene = Scene(name, camera, (), lane_lines, lines, mask, background, _x_range(camera, mask))
     return replace(scene, lanes=_lanes(scene, gt)), light, gt
 
@@ -79,27 +80,6 @@ def _x_range(camera: Camera, mask: NDArray[np.bool_]) -> tuple[float, float]:
     pick = slice(None, None, max(1, len(rows) // 20000))
     x = camera.road_points(np.stack([columns[pick], rows[pick]], axis=1) + 0.5, invalid="nan")[:, 0]
     return -25.0, float(min(np.nanmax(x) + 60.0, FARTHEST_M))
-
-
-def _fitted_light(light: Light, background: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Light:
-    """The light under which asphalt of ordinary albedo looks like this road."""
-    level = np.median(background[mask], axis=0)[::-1] / 255.0
-    target = np.clip(level, 0.03, 0.9) ** 2.2
-    plain = light.road_radiance * light.exposure
-    # Brightness goes into the exposure; of the tint, part may be the road's own colour, so only half goes to the light.
-    exposure = float(np.clip(target.mean() / plain.mean(), 0.5, 2.2))
-    ratio = target / plain / (target / plain).mean()
-    tint = np.sqrt(ratio)
-    return replace(
-        light,
-        exposure=light.exposure * exposure,
-        sun=light.sun * tint,
-        sky_low=light.sky_low * tint,
-        sky_high=light.sky_high * tint,
-        horizon=light.horizon * tint,
-        road=light.road * tint,
-        noise=min(light.noise, 2.0),
-    )
 
 
 def _lanes(scene: Scene, gt: dict[str, Any]) -> tuple[Lane, ...]:

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 
-__all__ = ["Lane", "Scene", "carriageways", "look_at_road", "procedural_scene", "road_to_image", "visible_range"]
+__all__ = [
+    "Lane",
+    "Scene",
+    "carriageways",
+    "line_through",
+    "look_at_road",
+    "procedural_scene",
+    "road_to_image",
+    "visible_range",
+]
 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
@@ -130,7 +139,7 @@ def carriageways(scene: Scene) -> list[tuple[float, float, list[float]]]:
     return groups
 
 
-def _line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]) -> NDArray[np.float64]:
+def line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]) -> NDArray[np.float64]:
     """Homogeneous px line through two points of the road, its normal of unit length."""
     p, q = camera.project(np.array([a, b]))
     line = np.cross([*p, 1.0], [*q, 1.0])
@@ -180,8 +189,8 @@ def procedural_scene(
     near = max(near, 2.0) + 3.0
     far = min(far - 3.0, near + depth_m)
     marks = np.linspace(near + 2, far - 2, 3)
-    across = [_line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
-    along = [_line_through(camera, (near, y), (far, y)) for y in edges]
+    across = [line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
+    along = [line_through(camera, (near, y), (far, y)) for y in edges]
     mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
     return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
 

@@ -6,15 +6,21 @@ being cut out of their masks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PLAIN", "Sensor", "make_sensor"]
+from labelgen.synth.grain import Grain
 
+__all__ = ["HALO_PX", "PLAIN", "Sensor", "make_sensor"]
+
+HALO_PX = 0.9
+"""Sigma of the blur that sharpening takes away, px."""
+
+_INVERSE_STEPS = 12
 _FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_PLAIN, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX_SMALL)
 
 
@@ -52,6 +58,9 @@ class Sensor:
         captions: text in the picture.
         start_s: time of day at the first frame.
         arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
+        blur_px: sigma of the lens's blur.
+        grain: noise by brightness; None for the even noise of `Light`.
+        in_picture: whether the picture of the empty road comes from this camera and has its faults already.
     """
 
     lines: float = 1.0
@@ -62,6 +71,9 @@ class Sensor:
     captions: tuple[Caption, ...] = ()
     start_s: float = 0.0
     arms: float = 0.006
+    blur_px: float = 0.5
+    grain: Grain | None = None
+    in_picture: bool = False
 
     def before_noise(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it.
@@ -86,7 +98,7 @@ class Sensor:
                 plane[:] = cv2.resize(cv2.resize(plane, narrow, interpolation=cv2.INTER_AREA), plane.shape[::-1])
         bright = planes[: few[1]]
         if self.sharpen:
-            soft = cv2.GaussianBlur(bright, (5, 5), 0.9)
+            soft = cv2.GaussianBlur(bright, (5, 5), HALO_PX)
             cv2.addWeighted(bright, 1 + self.sharpen, soft, -self.sharpen, 0, dst=bright)
         if self.peaking:
             cv2.addWeighted(bright, 1 + self.peaking, cv2.blur(bright, (3, 1)), -self.peaking, 0, dst=bright)
@@ -94,6 +106,33 @@ class Sensor:
         if few != size:
             out = cv2.resize(out, size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(out, dtype=np.uint8)
+
+    def sharpened(self, planes: NDArray[np.float32], width_px: int) -> NDArray[np.float32]:
+        """Any difference of pictures (H, W, 3) BGR after sharpening and smearing, both of which are linear.
+
+        Args:
+            planes: a picture, or what one has more than another.
+            width_px: of the whole frame.
+        """
+        bright = planes @ np.array([0.114, 0.587, 0.299], dtype=np.float32)
+        sharper = bright
+        if self.sharpen:
+            sharper = bright + self.sharpen * (bright - cv2.GaussianBlur(bright, (5, 5), HALO_PX))
+        if self.smear:
+            colour: Any = cv2.GaussianBlur(planes - bright[..., None], (0, 0), self.smear * width_px, sigmaY=0.3)
+            return np.asarray(colour + sharper[..., None])
+        return np.asarray(planes + (sharper - bright)[..., None])
+
+    def unsharpened(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What `sharpened` turns into this picture (H, W, 3) BGR, nearly: the road before the camera's electronics."""
+        wanted = picture.astype(np.float32)
+        if not self.sharpen:
+            return picture
+        plain = replace(self, smear=0.0)
+        out = wanted.copy()
+        for _ in range(_INVERSE_STEPS):
+            out += (wanted - plain.sharpened(out, picture.shape[1])) / (1 + self.sharpen)
+        return np.asarray(out.round().clip(0, 255).astype(np.uint8))
 
     def write(self, image: NDArray[np.uint8], time_s: float) -> None:
         """Burn the captions into a frame, in place."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from labelgen.errors import OutputError
 from labelgen.files import make_folder, write_atomic, write_json
 from labelgen.progress import asked_to_stop
+from labelgen.sources.scenes import is_session
 from labelgen.synth.light import Light, Weather, make_light, varied_light
 from labelgen.synth.render import Drawn, Placed, Renderer
 from labelgen.synth.road import draw_scene
@@ -23,7 +24,7 @@ from labelgen.synth.sensor import PLAIN, Sensor, make_sensor
 from labelgen.synth.still import Still
 from labelgen.synth.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.truth import TruthWriter
-from labelgen.synth.vehicles import Vehicle, check_kinds
+from labelgen.synth.vehicles import Vehicle, check_kinds, check_plates
 
 __all__ = ["SessionSummary", "place", "write_session"]
 
@@ -39,6 +40,7 @@ class SessionSummary:
         masks: in all frames together.
         complete: False after an interruption.
         files: name -> path.
+        measured: what was found in the video that the scene was taken from, in words; empty without one.
     """
 
     name: str
@@ -47,6 +49,7 @@ class SessionSummary:
     masks: int
     complete: bool
     files: dict[str, str]
+    measured: dict[str, str]
 
 
 def place(trip: Trip, vehicle: Vehicle, time_s: float) -> Placed:
@@ -60,17 +63,22 @@ def write_session(
     out: Path,
     *,
     duration_s: float = 20.0,
-    fps: float = 25.0,
+    fps: float | None = None,
     size_wh: tuple[int, int] = (1920, 1080),
     seed: int = 0,
-    name: str = "session0_center",
+    name: str | None = None,
     weather: Weather | None = None,
     per_minute: float = 18.0,
     kinds: Sequence[str] | None = None,
+    plates: str | None = None,
     heading: int | None = None,
     scene: Path | None = None,
     replay: bool = False,
     start_s: float | None = None,
+    calibration: Path | None = None,
+    road_mask: Path | None = None,
+    sun: tuple[float, float] | None = None,
+    say: Callable[[str], object] = print,
     video: bool = True,
     overwrite: bool = False,
     progress: bool = False,
@@ -80,17 +88,23 @@ def write_session(
     Args:
         out: root of the tree.
         duration_s: length.
-        fps: frames per second.
+        fps: frames per second; when None 25, or those of the video that `scene` names.
         size_wh: frame size; with `scene` that of its picture.
         seed: everything that varies comes from it.
-        name: of the session; with `scene` that of the real one.
-        weather: light; at random when None, overcast with `scene`.
+        name: of the session, session0_center when None; with `scene` that of the real one.
+        weather: light; when None at random, overcast in a real session, as it looks in a video.
         per_minute: vehicles per lane and minute.
         kinds: body types to use; by their shares in traffic when None.
-        heading: +1 traffic drives away, -1 it comes closer; at random when None. Not with `scene`.
-        scene: folder of a real session, `ROOT/dataset/sessionN_x`.
+        plates: one of `labelgen.synth.fittings.PLATES`; of all kinds when None.
+        heading: +1 traffic drives away, -1 it comes closer; when None at random, or as seen in a video. Not with a
+            real session.
+        scene: folder of a real session, `ROOT/dataset/sessionN_x`, or anybody's video of a fixed camera above a road.
         replay: re-enact the scene's recorded traffic.
         start_s: with `replay`, where in the recording to begin; shortly before the first recorded crossing when None.
+        calibration, road_mask: of the video that `scene` names; looked for beside it, or made from it, when None.
+        sun: with such a video, degrees: the sun's height and how far right of straight ahead it stands; by the shadows
+            of its vehicles when None.
+        say: is told, in a line, what was made of such a video.
         video: whether to render; without, only boxes and tracks are written.
         overwrite: whether an existing session may be replaced.
         progress: show a bar.
@@ -98,14 +112,23 @@ def write_session(
     Raises:
         OutputError: the session exists, or cannot be written.
         DataError: the scene cannot be read, or nothing is known of its traffic.
+        CalibrationError: the video that `scene` names has no calibration and cannot carry one.
     """
     check_kinds(kinds or [])
+    check_plates(plates)
     if scene is None:
         if replay:
             raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
-        setting = _made_up(seed, size_wh, heading, name, weather)
-    else:
+        setting = _made_up(seed, size_wh, heading, name or "session0_center", weather)
+    elif is_session(scene):
         setting = _real(scene, weather, seed)
+    else:
+        if replay:
+            raise OutputError(f"--replay: {scene} has no recorded traffic (gt_data.pkl) to re-enact; leave it out")
+        setting = _own(
+            scene, weather, seed, out, say, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun
+        )
+    fps = fps or setting.fps
     if replay and setting.surveyed is not None:
         from labelgen.synth.replay import replayed_traffic
 
@@ -113,20 +136,26 @@ def write_session(
     else:
         trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = _folders(out, setting.scene.name, overwrite)
-    done = _render(folders, setting, trips, round(duration_s * fps), fps, seed, video=video, progress=progress)
+    done = _render(
+        folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress
+    )
     files = _write_beside(folders, setting, trips, done, fps)
-    return SessionSummary(setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files)
+    return SessionSummary(
+        setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Setting:
-    """A place, its light and its camera. `surveyed`: a real session's gt_data.pkl."""
+    """A place, its light and its camera. `surveyed`: a real session's gt_data.pkl; `measured`: see `OwnCamera`."""
 
     scene: Scene
     light: Light
     still: Still | None
     sensor: Sensor
-    surveyed: dict[str, Any] | None
+    surveyed: dict[str, Any] | None = None
+    fps: float = 25.0
+    measured: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -146,7 +175,7 @@ def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str
     light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.52, 0.30, 0.06, 0.12]))], rng)
     light = varied_light(light, rng)
     background, still = draw_scene(scene, light, rng)
-    return _Setting(replace(scene, background=background), light, still, make_sensor(rng), None)
+    return _Setting(replace(scene, background=background), light, still, make_sensor(rng))
 
 
 def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
@@ -155,6 +184,17 @@ def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
 
     scene, light, surveyed = load_scene(folder, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
     return _Setting(scene, light, None, PLAIN, surveyed)
+
+
+def _own(
+    video: Path, weather: Weather | None, seed: int, out: Path, say: Callable[[str], object], **given: Any
+) -> _Setting:
+    """The place that somebody's own video shows. `given`: see `load_own_camera`."""
+    from labelgen.synth.own_camera import load_own_camera
+
+    rng = np.random.default_rng([seed, 1])
+    own = load_own_camera(video, lambda name: out / "camera" / name, say, rng, weather=weather, **given)
+    return _Setting(own.scene, own.light, None, own.sensor, None, own.fps, own.measured)
 
 
 def _folders(out: Path, name: str, overwrite: bool) -> dict[str, Path]:
@@ -173,8 +213,10 @@ def _write_beside(
     scene = setting.scene
     assert scene.background is not None
     write_atomic(folders["dataset"] / "video_mask.png", _png(scene.road_mask.astype(np.uint8) * 255))
-    empty = setting.sensor.before_noise(scene.background)
-    setting.sensor.write(empty, 0.0)
+    empty = scene.background
+    if not setting.sensor.in_picture:
+        empty = setting.sensor.before_noise(empty)
+        setting.sensor.write(empty, 0.0)
     write_atomic(folders["dataset"] / "screen.png", _png(empty))
     calibration = scene.camera.to_dict()
     write_json(folders["results"] / "system_truth.json", {**calibration, "cars": done.cars})
@@ -192,8 +234,8 @@ def _write_beside(
 
 
 def _render(
-    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int, *,
-    video: bool, progress: bool,
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int,
+    plates: str | None, *, video: bool, progress: bool,
 ) -> _Done:  # fmt: skip
     from contextlib import ExitStack
 
@@ -228,7 +270,9 @@ def _render(
             if writer is not None:
                 ids = {t.track_id for t in here}
                 renderer.forget({k for k in vehicles if k not in ids})
-                vehicles = {t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps) for t in here}
+                vehicles = {
+                    t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps, plates=plates) for t in here
+                }
                 placed = [place(t, vehicles[t.track_id], time_s) for t in here]
                 image, drawn = renderer.frame(placed, number=number, time_s=time_s)
                 writer.write(image)

@@ -51,12 +51,14 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
 
 def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
     """The mesh's vertices, and points every few decimetres where edges are long, as those of a box body."""
-    vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.triangles
+    vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.body
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
     long = np.abs(b - a)[:, 0] > 0.6
     share = np.linspace(0, 1, 40)[:, None, None]
-    return np.concatenate([vertices, (a[long] + share * (b[long] - a[long])).reshape(-1, 3)])
+    return np.concatenate(
+        [vertices[vehicle.mesh.body_vertices], (a[long] + share * (b[long] - a[long])).reshape(-1, 3)]
+    )
 
 
 def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
@@ -91,7 +93,7 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     left = cv2.GaussianBlur(left, (0, 0), 0.07 / _CELL)
     if sun_share > 0.02:
         direction = np.array([sun[0], sun[1], max(sun[2], 0.15)])
-        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.03 / _CELL)
+        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.05 / _CELL)
         left += sun_share * lit.astype(np.float32) / 255
     else:
         left += sun_share

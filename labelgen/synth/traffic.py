@@ -72,9 +72,9 @@ class Trip:
         k = int(np.clip(after - 1, 0, len(t) - 2))
         return float(t[k] + (x - knots[k]) * (t[k + 1] - t[k]) / (knots[k + 1] - knots[k]))
 
-    def vehicle(self, *, lamps: bool) -> Vehicle:
-        """The vehicle itself; always the same one."""
-        return make_vehicle(self.kind, np.random.default_rng(list(self.vehicle_seed)), lamps=lamps)
+    def vehicle(self, *, lamps: bool, plates: str | None = None) -> Vehicle:
+        """The vehicle itself; always the same one. `plates`: see `make_vehicle`."""
+        return make_vehicle(self.kind, np.random.default_rng(list(self.vehicle_seed)), lamps=lamps, plates=plates)
 
 
 def near_path_x(scene: Scene, line: NDArray[np.float64], lane: Lane, offset_y: float) -> float:

@@ -3,40 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
-from labelgen.synth.bodies import body_mesh
-from labelgen.synth.mesh import Chart, Mesh, box_mesh
+from labelgen.synth.bodies import body_mesh, wing_mirrors
+from labelgen.synth.fittings import PLATES
+from labelgen.synth.mesh import Chart, Mesh, box_mesh, join
 from labelgen.synth.motorcycle import draw_motorcycle, motorcycle_mesh
 from labelgen.synth.paintwork import draw_skin
 from labelgen.synth.raster import PAINT
 from labelgen.synth.shapes import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.skin import Skin
 
-__all__ = ["Vehicle", "body_kinds", "check_kinds", "make_vehicle", "vehicle_size"]
+__all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle", "vehicle_size"]
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.64, 0.65, 0.64), 0.0, 0.20),
+    ((0.64, 0.65, 0.64), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.14, 0.145, 0.15), 0.6, 0.19),
-    ((0.018, 0.018, 0.020), 0.3, 0.18),
-    ((0.022, 0.036, 0.10), 0.5, 0.09),
-    ((0.10, 0.17, 0.30), 0.6, 0.03),
-    ((0.24, 0.016, 0.018), 0.2, 0.04),
-    ((0.10, 0.010, 0.014), 0.5, 0.03),
-    ((0.025, 0.07, 0.045), 0.4, 0.02),
-    ((0.22, 0.19, 0.145), 0.6, 0.03),
-    ((0.55, 0.30, 0.03), 0.1, 0.01),
-    ((0.60, 0.50, 0.08), 0.0, 0.01),
+    ((0.018, 0.018, 0.020), 0.3, 0.20),
+    ((0.026, 0.036, 0.078), 0.5, 0.06),
+    ((0.12, 0.17, 0.25), 0.6, 0.03),
+    ((0.22, 0.026, 0.026), 0.2, 0.03),
+    ((0.095, 0.016, 0.018), 0.5, 0.02),
+    ((0.030, 0.062, 0.045), 0.4, 0.015),
+    ((0.21, 0.19, 0.155), 0.6, 0.025),
+    ((0.46, 0.27, 0.06), 0.1, 0.005),
+    ((0.50, 0.42, 0.12), 0.0, 0.005),
 )
 
-_CARGO_TONES = ((0.68, 0.68, 0.66), (0.5, 0.5, 0.52), (0.05, 0.10, 0.30), (0.40, 0.05, 0.04), (0.10, 0.20, 0.10))
+_CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.10, 0.12, 0.18), (0.21, 0.08, 0.07), (0.11, 0.14, 0.12))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +75,20 @@ def check_kinds(kinds: Iterable[str]) -> None:
             raise DataError(f"--bodies {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box")
 
 
-def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) -> Vehicle:
+def check_plates(plates: str | None) -> None:
+    """DataError when it is no family of number plates."""
+    if plates is not None and plates not in PLATES:
+        raise DataError(f"--plates {plates}: unknown; use one of {', '.join(PLATES)}")
+
+
+def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None) -> Vehicle:
     """A vehicle of a body type, with its own proportions, colour and details.
 
     Args:
         kind: a key of `BODY_TYPES`, or "box": a plain cuboid, whose outline is that of its 3D box.
         rng: everything that varies comes from it.
         lamps: whether its lamps are on.
+        plates: one of `PLATES`; any when None.
 
     Raises:
         DataError: no such body type.
@@ -92,19 +100,20 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False) ->
             skin.fill(chart, body.colour, PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
-    cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.5, 0.15, 0.15, 0.1, 0.1]))]
+    mesh = body.mesh if kind == "motorcycle" else _with_mirrors(body.mesh, body.shape)
+    cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
     # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
-    spread = 0.006 + 0.10 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
+    spread = 0.006 + 0.05 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
     red, green, blue = (np.array(body.colour) * rng.normal(1, spread, 3).clip(0.75, 1.25)).clip(0, 0.75).tolist()
     colour = (red, green, blue)
     if kind == "motorcycle":
         skin = Skin(extent)
         draw_motorcycle(skin, body.shape, colour, rng, lamps=lamps)
     else:
-        skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps)
+        skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
     skin.level(0.0)  # every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
-    return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, paint)
+    return Vehicle(kind, body.vehicle_class, body.size_lwh, mesh, skin, paint)
 
 
 def vehicle_size(kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -137,6 +146,11 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
     shape = sample_shape(kind, rng)
     mesh = motorcycle_mesh(shape) if kind == "motorcycle" else body_mesh(shape)
     return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
+
+
+def _with_mirrors(mesh: Mesh, shape: Shape) -> Mesh:
+    mirrors = wing_mirrors(shape)
+    return replace(join([mesh, *mirrors]), extra=sum(len(m.triangles) for m in mirrors))
 
 
 def _body_size(mesh: Mesh) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from pycocotools import mask as coco
 
 from labelgen.synth.light import Weather, make_light
 from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import visible_triangles
 from labelgen.synth.render import Placed, Renderer, painting_order
 from labelgen.synth.scenes import look_at_road, procedural_scene, road_to_image
 from labelgen.synth.shapes import BODY_TYPES
@@ -115,3 +116,26 @@ def test_vehicles_of_a_lane_never_meet() -> None:
             here = sorted((t.near_x(time), t.near_x(time) + t.size_lwh[0]) for t in trips if t.lane is lane)
             here = [span for span in here if span[1] > low and span[0] < high]
             assert all(a[1] < b[0] for a, b in pairwise(here))
+
+
+def test_wing_mirrors_are_drawn_but_belong_to_no_mask() -> None:
+    camera = look_at_road(8.0, (20.0, 0.3), 900.0, (1280, 720))
+    renderer = Renderer(
+        camera, np.full((720, 1280, 3), 90, np.uint8), make_light(Weather.DAY, np.random.default_rng(0)), seed=0
+    )
+    car = make_vehicle("hatchback", np.random.default_rng(3))
+    placed = Placed(1, car, np.array([18.0, 1.0]), -1, 20.0)
+    _, (drawn,) = renderer.frame([placed])
+    world = placed.world()
+    depth = (world - np.array([0.0, 0.0, camera.height_m])) @ camera.axes[:, 2]
+    screen = np.concatenate([camera.project(world), depth[:, None]], axis=1)
+    everything, body = (
+        visible_triangles(screen, triangles, (1280, 720), (0.0, 0.0), 1, True) >= 0
+        for triangles in (car.mesh.triangles, car.mesh.body)
+    )
+    mask = np.zeros_like(body)
+    (x, y), (h, w) = drawn.origin_px, drawn.mask.shape
+    mask[y : y + h, x : x + w] = drawn.mask
+    assert (mask == body).all()
+    assert 20 < np.count_nonzero(everything & ~body) < 0.05 * np.count_nonzero(body)
+    np.testing.assert_allclose(car.size_lwh, np.ptp(world[np.unique(car.mesh.body)], axis=0), atol=0.025)

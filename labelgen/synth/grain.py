@@ -1,0 +1,89 @@
+"""Noise that depends on how bright a pixel is, as sensors have it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Grain"]
+
+_SPREAD = 24.0
+"""Standard deviation of a tile's stored noise; it is scaled down to what is wanted."""
+_MORE = 128
+_FIXED = 4096
+
+
+@dataclass(frozen=True)
+class Grain:
+    """Standard deviations in grey levels at brightnesses spread evenly from 0 to 255.
+
+    Args:
+        grey: of brightness.
+        colour: of each of the two colour differences.
+        grey_px, colour_px: sigma of the blur that makes neighbours alike, px.
+    """
+
+    grey: tuple[float, ...]
+    colour: tuple[float, ...]
+    grey_px: float
+    colour_px: float
+
+    def tile(self, size_wh: tuple[int, int], rng: np.random.Generator) -> NDArray[np.int8]:
+        """(H + 128, W + 128, 3) noise of unit strength, larger than a frame so that each takes another part of it."""
+        shape = (size_wh[1] + _MORE, size_wh[0] + _MORE)
+        out = np.empty((*shape, 3), dtype=np.int8)
+        for k, sigma in enumerate((self.grey_px, self.colour_px, self.colour_px)):
+            plane = rng.normal(size=shape).astype(np.float32)
+            if sigma > 0.15:
+                plane = np.asarray(cv2.GaussianBlur(plane, (0, 0), sigma), dtype=np.float32)
+            out[..., k] = (_SPREAD * plane / plane.std()).round().clip(-127, 127)
+        return out
+
+    def add(self, image: NDArray[np.uint8], tile: NDArray[np.int8], number: int) -> None:
+        """Add noise to a frame (H, W, 3) uint8 BGR, in place.
+
+        Args:
+            image: the frame.
+            tile: what `tile` gave.
+            number: of the frame; picks the part of the tile.
+        """
+        height, width = image.shape[:2]
+        dx, dy = np.random.default_rng([number, 5]).integers(0, _MORE, 2).tolist()
+        steps = np.linspace(0, 255, len(self.grey))
+        tables = [np.interp(np.arange(256), steps, part) * _FIXED / _SPREAD for part in (self.grey, self.colour)]
+        _add(image, tile[dy : dy + height, dx : dx + width], *(t.round().astype(np.int32) for t in tables))
+
+    def scaled_to(self, wanted: Grain, left: Grain, most: float) -> Grain:
+        """This grain, stronger by as much as `left`, what is left of it, falls short of `wanted`; `most` times that."""
+
+        def part(mine: tuple[float, ...], want: tuple[float, ...], got: tuple[float, ...]) -> tuple[float, ...]:
+            return tuple(
+                float(np.clip(m * np.clip(w / max(g, 0.05), 0.5, 2.0), w, most * w))
+                for m, w, g in zip(mine, want, got, strict=True)
+            )
+
+        return replace(
+            self, grey=part(self.grey, wanted.grey, left.grey), colour=part(self.colour, wanted.colour, left.colour)
+        )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add(image: NDArray[np.uint8], noise: NDArray[np.int8], grey: NDArray[np.int32], colour: NDArray[np.int32]) -> None:
+    for r in range(image.shape[0]):
+        for c in range(image.shape[1]):
+            b, g, d = np.int32(image[r, c, 0]), np.int32(image[r, c, 1]), np.int32(image[r, c, 2])
+            level = (29 * b + 150 * g + 77 * d) >> 8
+            strength = colour[level]
+            bright = noise[r, c, 0] * grey[level]
+            red, blue = noise[r, c, 1] * strength, noise[r, c, 2] * strength
+            # From brightness and colour differences back to the three colours, with a half for rounding.
+            b += (bright + 1.77 * blue + 2048) // 4096
+            g += (bright - 0.71 * red - 0.34 * blue + 2048) // 4096
+            d += (bright + 1.40 * red + 2048) // 4096
+            image[r, c, 0] = min(max(b, 0), 255)
+            image[r, c, 1] = min(max(g, 0), 255)
+            image[r, c, 2] = min(max(d, 0), 255)

@@ -1,0 +1,200 @@
+"""Light and exposure fitted to a picture: to its road, to shadows in its video, to the real vehicles on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.synth.footage import Footage
+from labelgen.synth.light import Light
+from labelgen.synth.sensor import Sensor
+from labelgen.synth.sun_fit import NEAR_SHADOW, Shadows
+
+__all__ = [
+    "Part",
+    "Tones",
+    "fit_to_details",
+    "fit_to_road",
+    "fit_to_shadows",
+    "fit_to_tones",
+    "footage_tones",
+    "tones_of",
+]
+
+_LEAST_SIDE, _PER_VEHICLE, _FEWEST = 20, 500, 6
+_PERCENTILES = (4.0, 50.0, 98.5)
+_WEIGHTS = (0.9, 0.5, 0.9)
+"""How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
+_STEEPEST = 1.9
+_LEAST_SKY, _SEEN_SKY = 0.08, 0.65
+_OFF_EDGES, _SHARPEST_PX = 0.6, 0.3
+"""How far sharpening that suits vehicles may lie from what edges show."""
+
+Mask = NDArray[np.bool_]
+
+
+def fit_to_road(light: Light, background: NDArray[np.uint8], mask: Mask) -> Light:
+    """The light under which asphalt of ordinary albedo looks like this road.
+
+    Args:
+        light: kind of light.
+        background: (H, W, 3) uint8 BGR, the empty road.
+        mask: (H, W) where it is road.
+    """
+    level = np.median(background[mask], axis=0)[::-1] / 255.0
+    target = np.clip(level, 0.03, 0.9) ** 2.2
+    plain = light.road_radiance * light.exposure
+    # Brightness goes into the exposure; of the tint, part may be the road's own colour, so only half goes to the light.
+    exposure = float(np.clip(target.mean() / plain.mean(), 0.5, 2.2))
+    ratio = target / plain / (target / plain).mean()
+    tint = np.sqrt(ratio)
+    return replace(
+        light,
+        exposure=light.exposure * exposure,
+        sun=light.sun * tint,
+        sky_low=light.sky_low * tint,
+        sky_high=light.sky_high * tint,
+        horizon=light.horizon * tint,
+        road=light.road * tint,
+        noise=min(light.noise, 2.0),
+    )
+
+
+def fit_to_shadows(light: Light, shadows: Shadows) -> Light:
+    """The light with the sun where shadows say it stands, and a sky that leaves them as dark as they are.
+
+    Args:
+        light: of a sunny kind where `shadows.sunny`.
+        shadows: of the video's vehicles.
+    """
+    if shadows.sun is not None:
+        light = replace(light, sun_direction=shadows.sun)
+    if shadows.left is None or not shadows.sunny:
+        return light
+    shares = np.linspace(0, 1, 201)
+    seen = light.grey_levels(shares[:, None] * light.road_radiance).mean(axis=1)
+    # The vehicle that casts the shadow hides part of the sky as well.
+    sky = float(np.clip(np.interp(shadows.left * seen[-1], seen, shares) / _SEEN_SKY, _LEAST_SKY, 1.0))
+    total = float(light.road_radiance.mean())
+    sun = light.sun * max(light.sun_direction[2], 0.05) * light.road
+    up, down = (sky * total / float((light.road * light.ambient).mean()), (1 - sky) * total / float(sun.mean()))
+    return replace(light, sun=light.sun * down, sky_low=light.sky_low * up, sky_high=light.sky_high * up)
+
+
+@dataclass(frozen=True, eq=False)
+class Tones:
+    """Brightness and colours of vehicles in pictures.
+
+    Args:
+        grey: levels at `_PERCENTILES`.
+        colour: how far from grey the most colourful tenth is, grey levels.
+        fine: contrast of details of about a pixel, as a share of that of details of a few pixels.
+        vehicles: how many there were.
+    """
+
+    grey: tuple[float, ...]
+    colour: float
+    fine: float
+    vehicles: int
+
+
+Part = tuple[NDArray[np.uint8], Mask]
+"""A piece of a frame (h, w, 3) BGR, and which of its pixels show a vehicle."""
+
+
+def tones_of(parts: Sequence[Part]) -> Tones | None:
+    """The tones of vehicles, each of which counts alike; None for too few."""
+    if len(parts) < _FEWEST:
+        return None
+    pixels = [image[mask] for image, mask in parts]
+    picked = np.concatenate([p[np.linspace(0, len(p) - 1, _PER_VEHICLE).astype(int)] for p in pixels])
+    planes = cv2.cvtColor(picked[None], cv2.COLOR_BGR2YCrCb)[0].astype(np.float64)
+    grey = tuple(np.percentile(planes[:, 0], _PERCENTILES).tolist())
+    strength = np.hypot(planes[:, 1] - 128, planes[:, 2] - 128)
+    fine = float(np.median([_fine(image, mask) for image, mask in parts]))
+    return Tones(grey, float(np.percentile(strength, 90)), fine, len(parts))
+
+
+def _fine(image: NDArray[np.uint8], mask: Mask) -> float:
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    soft, softer = (cv2.GaussianBlur(grey, (0, 0), sigma) for sigma in (1.0, 3.0))
+    return float(np.abs(grey - soft)[mask].mean() / max(float(np.abs(soft - softer)[mask].mean()), 0.1))
+
+
+def footage_tones(footage: Footage, road: Mask, shadows: Shadows) -> Tones | None:
+    """The tones of a video's vehicles, as far as they differ from the road; None for too few."""
+    return tones_of(list(_footage_parts(footage, road, shadows)))
+
+
+def _footage_parts(footage: Footage, road: Mask, shadows: Shadows) -> Iterator[Part]:
+    empty = cv2.cvtColor(footage.empty, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1
+    for look in footage.looks:
+        change = footage.changed(look) & road
+        if shadows.sunny:
+            assert shadows.left is not None
+            ratio = (cv2.cvtColor(look, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1) / empty
+            mean = cv2.blur(ratio, (3, 3))
+            even = cv2.blur(ratio * ratio, (3, 3)) - mean * mean < 0.05**2
+            change &= ~(even & (np.abs(ratio - shadows.left) < NEAR_SHADOW))
+        inner = cv2.erode(change.astype(np.uint8), np.ones((5, 5), np.uint8))
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(inner)
+        for k in range(1, count):
+            x, y, w, h, area = (int(v) for v in stats[k])
+            if min(w, h) >= _LEAST_SIDE and area > 0.35 * w * h:
+                yield look[y : y + h, x : x + w], labels[y : y + h, x : x + w] == k
+
+
+def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:
+    """The light through a camera that makes of drawn vehicles what it makes of real ones.
+
+    Args:
+        light: as they were drawn.
+        real: of the video's vehicles.
+        drawn: of vehicles drawn in this light.
+    """
+    steps = [(d, d + weight * (r - d)) for r, d, weight in zip(real.grey, drawn.grey, _WEIGHTS, strict=True)]
+    (low, to_low), (middle, to_middle), (high, to_high) = steps
+    # Levels keep their order, and none is drawn apart so far that bands would show.
+    slope = np.clip((to_high - to_low) / max(high - low, 1.0), 1 / _STEEPEST, _STEEPEST)
+    to_middle = float(
+        np.clip(to_middle, to_low + (middle - low) * slope / 1.5, to_high - (high - middle) * slope / 1.5)
+    )
+    dark = float(np.clip(to_low - low * slope, 0, to_low))
+    bright = float(np.clip(to_high + (255 - high) * slope, to_high, 255))
+    tone = ((0.0, dark), (low, to_low), (middle, to_middle), (high, to_high), (255.0, bright))
+    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.9, 0.4, 1.6))
+    levels = np.linspace(0, 255, 18)
+    before = light.toned(levels)
+    rising = np.array(_rising(tone))
+    after = np.interp(before, rising[:, 0], rising[:, 1])
+    pairs = tuple(zip(levels.tolist(), after.tolist(), strict=True))
+    return replace(light, tone=pairs, saturation=light.saturation * colour)
+
+
+def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) -> Sensor:
+    """The camera, sharpened until drawn vehicles show as fine details as real ones, as far as its edges allow.
+
+    Args:
+        sensor: as they were drawn.
+        measured: on edges.
+        real, drawn: as for `fit_to_tones`.
+    """
+    wanted = (1 + sensor.sharpen) * real.fine / max(drawn.fine, 1e-3) - 1
+    low, high = max(0.0, measured.sharpen - _OFF_EDGES), measured.sharpen + _OFF_EDGES
+    # Where halos would grow too strong, the lens must be sharper.
+    blur = _SHARPEST_PX if wanted > high + _OFF_EDGES else measured.blur_px
+    return replace(sensor, blur_px=blur, sharpen=float(np.clip(wanted, low, high)))
+
+
+def _rising(tone: Any) -> tuple[tuple[float, float], ...]:
+    """The steps with both values rising."""
+    out = [tone[0]]
+    for level, value in tone[1:]:
+        if level > out[-1][0] + 0.5:
+            out.append((level, max(value, out[-1][1])))
+    return tuple(out)
