@@ -18,7 +18,10 @@ __all__ = ["Blob", "BlobCollector", "mask_blobs"]
 
 _WIDTH = 640
 _PERIOD_S = 0.3
-_FOLLOW_EVERY = 4
+# In dense traffic a look shows many vehicles, and they are much the same at the next: so many blobs are enough.
+_PER_S = 5.0
+# Light changes slowly.
+_FOLLOW_S = 1.5
 _PRIME_FRAMES = 64
 _CAPACITY = 1500
 _BORDER_SHARE = 0.003
@@ -87,8 +90,8 @@ def _hull(points: Array) -> Array:
 class BlobCollector:
     """Keeps a fair sample of the silhouettes in a video; a `labelgen.calibrate.observe.Collector`.
 
-    It finds them with `BackgroundMasks` on small copies of a few frames per second; the first of them are kept until
-    the empty scene can be learnt from them, and looked at then.
+    It finds them with `BackgroundMasks` on small copies of a few frames per second, fewer where each shows many; the
+    first of them are kept until the empty scene can be learnt from them, and looked at then.
 
     Args:
         capacity: how many blobs to keep; later ones replace earlier ones at random.
@@ -100,12 +103,12 @@ class BlobCollector:
         self._waiting: list[tuple[int, float, NDArray[np.uint8]]] = []
         self._kept: list[Blob] = []
         self._capacity, self._rng = capacity, np.random.default_rng(seed)
-        self._last_s = -np.inf
-        self._factor, self._looks, self.seen = 1.0, 0, 0
+        self._last_s = self._due_s = self._followed_s = -np.inf
+        self._factor, self.seen = 1.0, 0
 
     def see(self, number: int, time_s: float, rgb: NDArray[np.uint8]) -> None:
         """Take in a frame."""
-        if time_s < self._last_s + _PERIOD_S:
+        if time_s < max(self._last_s + _PERIOD_S, self._due_s):
             return
         self._last_s = time_s
         height, width = rgb.shape[:2]
@@ -125,11 +128,14 @@ class BlobCollector:
             self._masks = BackgroundMasks()
             self._masks.prime(image for _, _, image in self._waiting)
         for number, time_s, image in self._waiting:
-            # Light changes slowly.
-            if self._looks % _FOLLOW_EVERY == 0:
+            if time_s < self._due_s:
+                continue
+            if time_s >= self._followed_s + _FOLLOW_S:
                 self._masks.observe(image)
-            self._looks += 1
-            for blob in mask_blobs(self._masks.masks([image])[0], number, time_s, self._factor):
+                self._followed_s = time_s
+            blobs = mask_blobs(self._masks.masks([image])[0], number, time_s, self._factor)
+            self._due_s = time_s + sum(not blob.joined for blob in blobs) / _PER_S
+            for blob in blobs:
                 self._keep(blob)
         self._waiting.clear()
 
