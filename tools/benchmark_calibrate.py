@@ -160,7 +160,8 @@ def main(
         figures = measure(chosen)
     typer.echo(
         f"{figures['seconds']:.1f} s of video in {figures['cpu_s']:.1f} s: "
-        f"{figures['times_real_time']:.1f} times real time; {figures['times_decoding']:.2f} times as long as decoding alone"
+        f"{figures['times_real_time']:.1f} times real time; "
+        f"{figures['times_decoding']:.2f} times as long as decoding all of it"
     )
     for name, share in figures["share_percent"].items():
         typer.echo(f"  {name:<20}{share:5.1f} %")

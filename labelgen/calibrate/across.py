@@ -219,7 +219,7 @@ class _Seen:
 def _angles(edges: Edges, vp: Array) -> Array:
     """(N,) angle in the picture, 0 to pi / 2, between edges and the direction to a point (3,)."""
     off, away = (part[0].astype(np.float64) for part in _Seen(edges).from_points(vp[None]))
-    return np.arcsin(np.minimum(np.abs(off) / np.sqrt(away), 1.0))
+    return np.asarray(np.arcsin(np.minimum(np.abs(off) / np.sqrt(away), 1.0)))
 
 
 def _moments(density: Array, tilts: Array, log_focals: Array) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -117,7 +117,8 @@ class FeatureTracker:
         last = self._recent[:, -1].copy()
         guess = np.where(self._ages[:, None] > 1, 2 * last - self._recent[:, -2], last)
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-        now, found, _ = cv2.calcOpticalFlowPyrLK(self._previous, grey, last, guess, maxLevel=4, flags=flags, **_KLT)
+        ahead, found, _ = cv2.calcOpticalFlowPyrLK(self._previous, grey, last, guess, maxLevel=4, flags=flags, **_KLT)
+        now = np.asarray(ahead, dtype=np.float32)
         back, again, _ = cv2.calcOpticalFlowPyrLK(
             grey, self._previous, now, last.copy(), maxLevel=1, flags=flags, **_KLT
         )
@@ -179,7 +180,7 @@ def _goes_on(recent: NDArray[np.float32], ages: NDArray[np.int64], now: NDArray[
     old, new = recent[:, -1] - recent[:, -3], now - recent[:, -2]
     lengths = np.hypot(*old.T) * np.hypot(*new.T)
     turns = (ages >= 3) & (lengths >= 4.0) & ((old * new).sum(axis=1) <= _TURN_COS * lengths)
-    return ~rests & ~turns
+    return np.asarray(~rests & ~turns)
 
 
 class CameraShake:

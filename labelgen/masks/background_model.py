@@ -287,7 +287,7 @@ def lightness(picture: Plane) -> Plane:
 
 def strongest(picture: NDArray[Any]) -> NDArray[Any]:
     """(H, W) greatest of the channels of (H, W, 3)."""
-    return np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
+    return np.asarray(np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2]))
 
 
 def stain(part: Difference, ratio: Plane) -> Plane:

@@ -35,7 +35,7 @@ class LazyFrame(Frame):
         self.__dict__.update(number=number, time_s=time_s, name="", _convert=convert, _take_greys=take_greys)
 
     @cached_property
-    def image(self) -> Picture:  # type: ignore[override]
+    def image(self) -> Picture:
         """(H, W, 3) uint8 BGR."""
         picture: Picture = self.__dict__["_convert"]()
         return picture
