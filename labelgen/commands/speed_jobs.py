@@ -96,7 +96,7 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
     is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
-    view = View.create(chosen, camera, road, pair, size_wh)
+    view = View.create(chosen, camera, road, pair, size_wh, outlines=True)
     masks: MaskSource = create_mask_source(
         argument, weights=options.weights, score_threshold=options.score, road_mask=road.pixels,
         device=options.device, frame_wh=frames.size_wh,
