@@ -39,13 +39,11 @@ __all__ = [
 
 _TURNS = 2 * np.pi * np.arange(24) / 24
 _DIRECTIONS = np.stack([np.cos(_TURNS), np.sin(_TURNS)])
-# At its bottom a silhouette bulges with the shadow beneath the vehicle, about half as far 15 degrees beside straight down
-# and hardly at 30; and on the whole it is a little larger or smaller than the vehicle. Mean and standard deviation of
-# both are in shares of its size. The bulge is that of background masks against exact ones of rendered sessions; taken
-# for wider than it is, it makes vehicles look too tall and focal lengths too short.
-_BULGE = 20
-_BEYOND = np.stack([np.maximum(_DIRECTIONS[1], 0) ** _BULGE, np.ones(len(_TURNS))], axis=1)
-_SHADOW, _SWELL = (0.035, 0.04), (0.003, 0.01)
+# Downwards a silhouette holds some of the shadow beneath the vehicle, and on the whole it is a little larger or
+# smaller than the vehicle: mean and standard deviation of both, in shares of its size. The first mean is that of
+# background masks on rendered sessions.
+_BEYOND = np.stack([np.maximum(_DIRECTIONS[1], 0), np.ones(len(_TURNS))], axis=1)
+_SHADOW, _SWELL = (0.022, 0.04), (0.003, 0.01)
 # An outline's error: this much of the frame's width, and this share of the silhouette's size.
 _ERROR_FRAME, _ERROR_SHARE = 1.6e-3, 0.02
 # Neighbouring directions err together: so many of them are worth one measurement each.
