@@ -194,6 +194,8 @@ class CameraShake:
 
     _REFRESH = 8
     _GRID = 8
+    # Corners in fewer fields than these may all be on vehicles.
+    _FEWEST = 12
 
     def __init__(self) -> None:
         self.shifts_px: list[float] = []
@@ -201,11 +203,11 @@ class CameraShake:
         self.drift_px = 0.0
         self._reference: Grey | None = None
         self._corners = np.empty((0, 1, 2), dtype=np.float32)
-        self._looks = 0
+        self._fields = self._looks = 0
 
     def see(self, grey: Grey) -> None:
         """Look at a frame, (h, w) uint8; call it a few times per second."""
-        if self._reference is not None and len(self._corners) >= 12:
+        if self._reference is not None and self._fields >= self._FEWEST:
             now, found, _ = cv2.calcOpticalFlowPyrLK(
                 self._reference, grey, self._corners, self._corners.copy(), maxLevel=4, **_KLT
             )
@@ -219,10 +221,12 @@ class CameraShake:
                 self._drift += np.median(moved[size <= np.median(size)], axis=0)
                 self.drift_px = max(self.drift_px, float(np.hypot(*self._drift)))
         if self._looks % self._REFRESH == 0:
-            self._reference, self._corners = grey, self._spread(grey)
+            found = self._spread(grey)
+            self._reference, self._fields = grey, len(found)
+            self._corners = np.concatenate([np.empty((0, 1, 2), dtype=np.float32), *found])
         self._looks += 1
 
-    def _spread(self, grey: Grey) -> NDArray[np.float32]:
+    def _spread(self, grey: Grey) -> list[NDArray[np.float32]]:
         """Up to two corners from each field of a grid, so that no textured corner of the picture outvotes the rest."""
         h, w = (n // self._GRID for n in grey.shape)
         found = []
@@ -232,4 +236,4 @@ class CameraShake:
                 corners = cv2.goodFeaturesToTrack(part, 2, 0.1, 10, blockSize=5)
                 if corners is not None and part.std() > 3:
                     found.append(corners + np.array([column * w, row * h], dtype=np.float32))
-        return np.concatenate(found) if found else np.empty((0, 1, 2), dtype=np.float32)
+        return found
