@@ -221,9 +221,9 @@ class CameraShake:
                 self._drift += np.median(moved[size <= np.median(size)], axis=0)
                 self.drift_px = max(self.drift_px, float(np.hypot(*self._drift)))
         if self._looks % self._REFRESH == 0:
-            found = self._spread(grey)
-            self._reference, self._fields = grey, len(found)
-            self._corners = np.concatenate([np.empty((0, 1, 2), dtype=np.float32), *found])
+            fields = self._spread(grey)
+            self._reference, self._fields = grey, len(fields)
+            self._corners = np.concatenate([np.empty((0, 1, 2), dtype=np.float32), *fields])
         self._looks += 1
 
     def _spread(self, grey: Grey) -> list[NDArray[np.float32]]:
@@ -235,5 +235,5 @@ class CameraShake:
                 part = grey[row * h : (row + 1) * h, column * w : (column + 1) * w]
                 corners = cv2.goodFeaturesToTrack(part, 2, 0.1, 10, blockSize=5)
                 if corners is not None and part.std() > 3:
-                    found.append(corners + np.array([column * w, row * h], dtype=np.float32))
+                    found.append(np.asarray(corners + np.array([column * w, row * h]), dtype=np.float32))
         return found
