@@ -111,7 +111,9 @@ def _steady(trip: Trip) -> Trip:
     return replace(trip, knots_s=trip.knots_s[[0, -1]], knots_x=trip.knots_x[[0, -1]])
 
 
-def _lanes(camera: Camera, road: RoadMask, fps: float, rule: Rule) -> tuple[list[_Lane], dict[str, str]]:
+def _lanes(
+    camera: Camera, road: RoadMask, fps: float, rule: Rule, outlines: bool
+) -> tuple[list[_Lane], dict[str, str]]:
     """All variants with both pairs, and why some are not possible here."""
     lanes, impossible = [], {}
     sizes = load_manifest("brnocompspeed")["sizes"]
@@ -121,7 +123,7 @@ def _lanes(camera: Camera, road: RoadMask, fps: float, rule: Rule) -> tuple[list
                 continue  # nothing of it depends on the pair
             name = str(variant) if variant is Variant.ORIG2D else f"{variant} {pair}"
             try:
-                view = View.create(variant, camera, road, pair, parse_size(sizes[str(pair)]))
+                view = View.create(variant, camera, road, pair, parse_size(sizes[str(pair)]), outlines=outlines)
             except RectificationError as err:
                 impossible[name] = str(err)
                 continue
@@ -138,8 +140,12 @@ def measure_session(
     start_s: float | None = None,
     rule: Rule = Rule.WIDER,
     kinds: Sequence[str] | None = None,
+    outlines: bool = False,
 ) -> dict[str, Any]:
     """Replay a session's traffic and score every variant.
+
+    `outlines` moves measured points from the lowest line of the masks to the vehicles' near ends, as `labelgen speed`
+    does.
 
     Returns:
         rows by variant and pair: the row of the public protocol, the absolute and the signed errors in km/h.
@@ -150,7 +156,7 @@ def measure_session(
     trips = [_steady(trip) for trip in replayed]
     assert scene.background is not None
     renderer = Renderer(scene.camera, scene.background, light, seed=seed)
-    lanes, impossible = _lanes(scene.camera, RoadMask(scene.road_mask), fps, rule)
+    lanes, impossible = _lanes(scene.camera, RoadMask(scene.road_mask), fps, rule, outlines)
     count = round(duration_s * fps)
     exact: dict[int, dict[str, Any]] = {}
     for number, time_s, masks in tqdm(
@@ -286,13 +292,15 @@ def measure(
     start: Annotated[float | None, typer.Option(help="Second of the recording to begin at.")] = None,
     rule: Annotated[str, typer.Option(help="wider or conditioned.")] = "wider",
     kind: Annotated[str | None, typer.Option(help="Only this kind of vehicle; box: solid cuboids.")] = None,
+    outlines: Annotated[bool, typer.Option(help="Measure at near ends, as `labelgen speed` does from masks.")] = False,
 ) -> None:
     """Measure sessions and write their figures."""
     make_folder(out)
     for session in sessions:
         part = measure_session(
-            session, duration, fps, seed=seed, start_s=start, rule=Rule.parse(rule), kinds=kind and [kind]
-        )
+            session, duration, fps, seed=seed, start_s=start, rule=Rule.parse(rule), kinds=kind and [kind],
+            outlines=outlines,
+        )  # fmt: skip
         write_json(out / f"{part['session']}.json", part)
         typer.echo(format_tables([part]))
         typer.echo(f"{part['seconds']} s")

@@ -37,6 +37,9 @@ _ALONG_DEG = 5.0
 # Where the horizon may pass below (positive) and above the principal point, units.
 _HORIZON_OFFSETS = (-3.0, 0.4)
 _COARSE = 4000
+# So many numbers fit into the processor's cache together with what is made of them, and no library spreads a product
+# of that size over threads that wait for one another.
+_AT_ONCE = 60_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,31 +177,49 @@ def _log_likelihood(edges: Edges, vp1: Array, tilt: Array, focal: Array) -> Arra
     """(tilt.shape) how probable the edges' directions are."""
     vp2, vp3 = (d.reshape(-1, 3) for d in directions(vp1, tilt, focal))
     total = np.zeros(len(vp2))
-    anywhere = _SHARES[2] * 2 / np.pi
-    deviation = edges.deviation.astype(np.float32)[:, None]
-    step = max(1, 2_000_000 // max(len(edges), 1))
+    deviation = edges.deviation.astype(np.float32)
+    seen = _Seen(edges, 1 / edges.deviation)
+    step = max(1, _AT_ONCE // max(len(edges), 1))
     for start in range(0, len(vp2), step):
         part = np.s_[start : start + step]
-        density = np.full((len(edges), len(vp2[part])), anywhere, dtype=np.float32)
+        density = np.full((len(vp2[part]), len(edges)), _SHARES[2] * 2 / np.pi, dtype=np.float32)
         for vp, share in ((vp2[part], _SHARES[0]), (vp3[part], _SHARES[1])):
-            peak = share * (2 / np.pi) / deviation
-            density += peak / (1 + _squared_sines(edges, vp) / deviation**2)
-        total[part] = np.log(density).sum(axis=0, dtype=np.float64)
+            off, away = seen.from_points(vp)
+            off *= off
+            off += away
+            # A peak as wide as the deviation, of the angle whose squared sine is off / away.
+            away *= np.float32(share * 2 / np.pi) / deviation
+            away /= off
+            density += away
+        total[part] = np.log(density, out=density).sum(axis=1, dtype=np.float64)
     return total.reshape(tilt.shape)
 
 
-def _squared_sines(edges: Edges, vp: Array) -> NDArray[np.float32]:
-    """(N, M) squared sine of the angle in the picture between edges and the direction to points (M, 3)."""
-    points = vp.astype(np.float32)
-    (mx, my), (dx, dy) = (a.astype(np.float32).T[:, :, None] for a in (edges.middle, edges.direction))
-    to_x, to_y = points[:, 0] - mx * points[:, 2], points[:, 1] - my * points[:, 2]
-    out: NDArray[np.float32] = (dx * to_y - dy * to_x) ** 2 / (to_x**2 + to_y**2)
-    return out
+class _Seen:
+    """N edges as matrices, so that what M points are to them takes two products.
+
+    Args:
+        edges: N of them.
+        weight: (N,) factors of how far points lie off the edges.
+    """
+
+    def __init__(self, edges: Edges, weight: Array | float = 1.0) -> None:
+        (mx, my), (dx, dy) = edges.middle.T, edges.direction.T
+        self._lines = (np.stack([-dy, dx, dy * mx - dx * my]) * weight).astype(np.float32)
+        self._places = np.stack([np.ones_like(mx), mx, my, mx**2 + my**2]).astype(np.float32)
+
+    def from_points(self, vp: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """For homogeneous points (M, 3) how far they are off the edges' lines, weighted, and their squared distance
+        from the edges, both (M, N) and times the points' third coordinate."""
+        x, y, w = vp.T
+        bent = np.stack([x**2 + y**2, -2 * x * w, -2 * y * w, w**2], axis=1)
+        return vp.astype(np.float32) @ self._lines, bent.astype(np.float32) @ self._places
 
 
 def _angles(edges: Edges, vp: Array) -> Array:
     """(N,) angle in the picture, 0 to pi / 2, between edges and the direction to a point (3,)."""
-    return np.arcsin(np.sqrt(np.minimum(_squared_sines(edges, vp[None])[:, 0], 1.0))).astype(np.float64)
+    off, away = (part[0].astype(np.float64) for part in _Seen(edges).from_points(vp[None]))
+    return np.asarray(np.arcsin(np.minimum(np.abs(off) / np.sqrt(away), 1.0)))
 
 
 def _moments(density: Array, tilts: Array, log_focals: Array) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -18,7 +18,11 @@ __all__ = ["Blob", "BlobCollector", "mask_blobs"]
 
 _WIDTH = 640
 _PERIOD_S = 0.3
-_FOLLOW_EVERY = 4
+# Once so many blobs are there, as many as the fits use, only every other stretch of this many seconds is looked at,
+# and then every fourth. Within a stretch all looks count, for vehicles must be seen several times.
+_PLENTY, _STRETCH_S = (300, 900), 4.0
+# Light changes slowly.
+_FOLLOW_S = 1.5
 _PRIME_FRAMES = 64
 _CAPACITY = 1500
 _BORDER_SHARE = 0.003
@@ -87,8 +91,8 @@ def _hull(points: Array) -> Array:
 class BlobCollector:
     """Keeps a fair sample of the silhouettes in a video; a `labelgen.calibrate.observe.Collector`.
 
-    It finds them with `BackgroundMasks` on small copies of a few frames per second; the first of them are kept until
-    the empty scene can be learnt from them, and looked at then.
+    It finds them with `BackgroundMasks` on small copies of a few frames per second, fewer once there are many; the
+    first of them are kept until the empty scene can be learnt from them, and looked at then.
 
     Args:
         capacity: how many blobs to keep; later ones replace earlier ones at random.
@@ -100,12 +104,12 @@ class BlobCollector:
         self._waiting: list[tuple[int, float, NDArray[np.uint8]]] = []
         self._kept: list[Blob] = []
         self._capacity, self._rng = capacity, np.random.default_rng(seed)
-        self._last_s = -np.inf
-        self._factor, self._looks, self.seen = 1.0, 0, 0
+        self._last_s = self._followed_s = -np.inf
+        self._factor, self.seen = 1.0, 0
 
     def see(self, number: int, time_s: float, rgb: NDArray[np.uint8]) -> None:
         """Take in a frame."""
-        if time_s < self._last_s + _PERIOD_S:
+        if time_s < self._last_s + _PERIOD_S or not self._in_turn(time_s):
             return
         self._last_s = time_s
         height, width = rgb.shape[:2]
@@ -125,13 +129,18 @@ class BlobCollector:
             self._masks = BackgroundMasks()
             self._masks.prime(image for _, _, image in self._waiting)
         for number, time_s, image in self._waiting:
-            # Light changes slowly.
-            if self._looks % _FOLLOW_EVERY == 0:
+            if not self._in_turn(time_s):
+                continue
+            if time_s >= self._followed_s + _FOLLOW_S:
                 self._masks.observe(image)
-            self._looks += 1
+                self._followed_s = time_s
             for blob in mask_blobs(self._masks.masks([image])[0], number, time_s, self._factor):
                 self._keep(blob)
         self._waiting.clear()
+
+    def _in_turn(self, time_s: float) -> bool:
+        """Whether a frame of this time is looked at."""
+        return int(time_s / _STRETCH_S) % (1 << sum(self.seen >= plenty for plenty in _PLENTY)) == 0
 
     def _keep(self, blob: Blob) -> None:
         self.seen += 1

@@ -79,7 +79,11 @@ class FeatureTracker:
         self.moving: Grey | None = None
         self._factor, self._shortest, self._most = factor, shortest_px, most
         self._previous: Grey | None = None
-        self._live: list[_Live] = []
+        self._live: list[_Live]
+        # Of each the latest points, the first one again where there are fewer, and how many there are.
+        self._recent: NDArray[np.float32]
+        self._ages: NDArray[np.int64]
+        self._forget()
         self._count = self._thinned = 0
         self._frames = 0
 
@@ -99,32 +103,37 @@ class FeatureTracker:
         """Finish all tracks: the next frame does not follow closely on the last one."""
         for live in self._live:
             self._finish(live)
-        self._live, self._previous, self.moving = [], None, None
+        self._previous = self.moving = None
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing is followed."""
+        self._live = []
+        self._recent = np.empty((0, _STILL_FRAMES, 2), dtype=np.float32)
+        self._ages = np.empty(0, dtype=np.int64)
 
     def _follow(self, grey: Grey, time_s: float) -> None:
         assert self._previous is not None
-        last = np.array([live.points[-1] for live in self._live], dtype=np.float32)
-        before = np.array([live.points[-2] if len(live.points) > 1 else live.points[-1] for live in self._live])
-        guess = (2 * last - before).astype(np.float32)
+        last = self._recent[:, -1].copy()
+        guess = np.where(self._ages[:, None] > 1, 2 * last - self._recent[:, -2], last)
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-        now, found, _ = cv2.calcOpticalFlowPyrLK(
-            self._previous, grey, last, guess.copy(), maxLevel=4, flags=flags, **_KLT
-        )
+        ahead, found, _ = cv2.calcOpticalFlowPyrLK(self._previous, grey, last, guess, maxLevel=4, flags=flags, **_KLT)
+        now = np.asarray(ahead, dtype=np.float32)
         back, again, _ = cv2.calcOpticalFlowPyrLK(
             grey, self._previous, now, last.copy(), maxLevel=1, flags=flags, **_KLT
         )
         good = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.abs(back - last).max(axis=1) < _BACKWARD_PX)
         high = np.array(grey.shape[::-1]) - 1 - _MARGIN
-        good &= ((now > _MARGIN) & (now < high)).all(axis=1)
-        kept = []
-        for live, point, fine in zip(self._live, now, good, strict=True):
-            if fine and _goes_on(live.points, point):
+        good &= ((now > _MARGIN) & (now < high)).all(axis=1) & _goes_on(self._recent, self._ages, now)
+        for live, point, fine in zip(self._live, now, good.tolist(), strict=True):
+            if fine:
                 live.points.append(point)
                 live.times.append(time_s)
-                kept.append(live)
             else:
                 self._finish(live)
-        self._live = kept
+        self._live = [live for live, fine in zip(self._live, good.tolist(), strict=True) if fine]
+        self._recent = np.concatenate([self._recent[good, 1:], now[good, None]], axis=1)
+        self._ages = self._ages[good] + 1
 
     def _seed(self, grey: Grey, time_s: float) -> None:
         assert self.moving is not None
@@ -140,8 +149,10 @@ class FeatureTracker:
             grey[part], _MAX_FEATURES - len(self._live), 0.02, _SPACING, mask=mask[part], blockSize=5
         )
         if corners is not None:
-            for point in corners[:, 0] + np.array([x, y], dtype=np.float32):
-                self._live.append(_Live([point], [time_s]))
+            points = corners[:, 0] + np.array([x, y], dtype=np.float32)
+            self._live += [_Live([point], [time_s]) for point in points]
+            self._recent = np.concatenate([self._recent, np.repeat(points[:, None], _STILL_FRAMES, axis=1)])
+            self._ages = np.concatenate([self._ages, np.ones(len(points), dtype=np.int64)])
 
     def _finish(self, live: _Live) -> None:
         points = np.array(live.points, dtype=np.float64)
@@ -157,15 +168,19 @@ class FeatureTracker:
             self._thinned += 1
 
 
-def _goes_on(points: list[NDArray[np.float32]], point: NDArray[np.float32]) -> bool:
-    """Whether a track goes on to a point: it neither rests nor turns sharply."""
-    if len(points) >= _STILL_FRAMES and np.abs(point - points[-_STILL_FRAMES]).max() < _STILL_PX:
-        return False
-    if len(points) < 3:
-        return True
-    old, new = points[-1] - points[-3], point - points[-2]
-    lengths = float(np.hypot(*old) * np.hypot(*new))
-    return lengths < 4.0 or float(old @ new) > _TURN_COS * lengths
+def _goes_on(recent: NDArray[np.float32], ages: NDArray[np.int64], now: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(N,) whether tracks go on to their next points: they neither rest nor turn sharply.
+
+    Args:
+        recent: (N, K, 2) latest points of each.
+        ages: (N,) how many points each has.
+        now: (N, 2) next points.
+    """
+    rests = (ages >= _STILL_FRAMES) & (np.abs(now - recent[:, 0]).max(axis=1) < _STILL_PX)
+    old, new = recent[:, -1] - recent[:, -3], now - recent[:, -2]
+    lengths = np.hypot(*old.T) * np.hypot(*new.T)
+    turns = (ages >= 3) & (lengths >= 4.0) & ((old * new).sum(axis=1) <= _TURN_COS * lengths)
+    return np.asarray(~rests & ~turns)
 
 
 class CameraShake:
@@ -179,6 +194,8 @@ class CameraShake:
 
     _REFRESH = 8
     _GRID = 8
+    # Corners in fewer fields than these may all be on vehicles.
+    _FEWEST = 12
 
     def __init__(self) -> None:
         self.shifts_px: list[float] = []
@@ -186,11 +203,11 @@ class CameraShake:
         self.drift_px = 0.0
         self._reference: Grey | None = None
         self._corners = np.empty((0, 1, 2), dtype=np.float32)
-        self._looks = 0
+        self._fields = self._looks = 0
 
     def see(self, grey: Grey) -> None:
         """Look at a frame, (h, w) uint8; call it a few times per second."""
-        if self._reference is not None and len(self._corners) >= 12:
+        if self._reference is not None and self._fields >= self._FEWEST:
             now, found, _ = cv2.calcOpticalFlowPyrLK(
                 self._reference, grey, self._corners, self._corners.copy(), maxLevel=4, **_KLT
             )
@@ -204,10 +221,12 @@ class CameraShake:
                 self._drift += np.median(moved[size <= np.median(size)], axis=0)
                 self.drift_px = max(self.drift_px, float(np.hypot(*self._drift)))
         if self._looks % self._REFRESH == 0:
-            self._reference, self._corners = grey, self._spread(grey)
+            fields = self._spread(grey)
+            self._reference, self._fields = grey, len(fields)
+            self._corners = np.concatenate([np.empty((0, 1, 2), dtype=np.float32), *fields])
         self._looks += 1
 
-    def _spread(self, grey: Grey) -> NDArray[np.float32]:
+    def _spread(self, grey: Grey) -> list[NDArray[np.float32]]:
         """Up to two corners from each field of a grid, so that no textured corner of the picture outvotes the rest."""
         h, w = (n // self._GRID for n in grey.shape)
         found = []
@@ -216,5 +235,5 @@ class CameraShake:
                 part = grey[row * h : (row + 1) * h, column * w : (column + 1) * w]
                 corners = cv2.goodFeaturesToTrack(part, 2, 0.1, 10, blockSize=5)
                 if corners is not None and part.std() > 3:
-                    found.append(corners + np.array([column * w, row * h], dtype=np.float32))
-        return np.concatenate(found) if found else np.empty((0, 1, 2), dtype=np.float32)
+                    found.append(np.asarray(corners + np.array([column * w, row * h]), dtype=np.float32))
+        return found

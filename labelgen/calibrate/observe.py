@@ -17,7 +17,7 @@ from labelgen.calibrate.features import CameraShake, FeatureTracker, Track, work
 from labelgen.errors import DataError
 from labelgen.geometry.projective import Array
 from labelgen.progress import progress_bar
-from labelgen.sources.frames import FrameSource
+from labelgen.sources.frames import Frame, FrameSource, sparse_frames
 
 __all__ = ["Collector", "Observations", "Track", "observe"]
 
@@ -94,11 +94,14 @@ def observe(
     step = max(1, round(fps / _TRACK_FPS))
     done, time_s, check_s, ended = 0, 0.0, _FIRST_CHECK_S, True
     with progress_bar(count, "frame", "watching") as advance:
-        for frame in source.frames(lambda n: n % step == 0 and int(n / fps / _STRETCH_S) % watch.pace() == 0):
+        turns = _Turns()
+        wanted = sparse_frames(source, lambda n: n % step == 0 and n / fps >= turns.next_s, lambda: turns.next_s)
+        for frame in wanted:
             time_s = frame.time_s if math.isfinite(frame.time_s) else frame.number / fps
             if duration_s is not None and time_s >= duration_s:
                 break
-            watch.take(frame.number, time_s, frame.image)
+            turns.worked(time_s, watch.pace())
+            watch.take(frame, time_s)
             advance(frame.number + 1 - done)
             done = frame.number + 1
             if enough is not None and time_s >= check_s:
@@ -110,6 +113,28 @@ def observe(
         raise DataError(f"{source.path}: no frame could be read; is it a video?")
     picture = watch.finish()
     return watch.observations(source, time_s, ended=ended, picture=picture)
+
+
+class _Turns:
+    """Which stretches of a video are worked on: a share of it.
+
+    Attributes:
+        next_s: nothing before is to be worked on.
+    """
+
+    def __init__(self) -> None:
+        self.next_s = self._begin_s = self._last_s = 0.0
+        self._length_s = _STRETCH_S
+
+    def worked(self, time_s: float, pace: int) -> None:
+        """A frame is worked on; one of so many stretches shall be."""
+        if time_s > self._last_s + _STRETCH_S / 2:
+            # A leap may be longer than was asked for, and what is worked on then as well.
+            self._begin_s = time_s
+            self._length_s = max(_STRETCH_S, (time_s - self._last_s) / max(1, pace - 1))
+        self._last_s = time_s
+        if time_s - self._begin_s >= self._length_s:
+            self.next_s = time_s + (pace - 1) * _STRETCH_S
 
 
 class _Watch:
@@ -130,8 +155,8 @@ class _Watch:
         tracks, edges = len(self._tracker.tracks), self._edges.count
         return 1 << sum(tracks >= t and edges >= e for t, e in _PLENTY)
 
-    def take(self, number: int, time_s: float, image: NDArray[np.uint8]) -> None:
-        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    def take(self, frame: Frame, time_s: float) -> None:
+        grey = frame.grey
         small = grey
         if self._factor > 1:
             small = np.asarray(cv2.resize(grey, self._small_wh, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -147,11 +172,11 @@ class _Watch:
         self._looked_s = time_s
         self._shake.see(small)
         self._edges.see(grey, moving, time_s)
-        self._backdrop.look(image)
+        self._backdrop.look(frame.image)
         if self._collectors:
-            rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+            rgb = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
             for collector in self._collectors:
-                collector.see(number, time_s, rgb)
+                collector.see(frame.number, time_s, rgb)
 
     def finish(self) -> NDArray[np.uint8] | None:
         """At the end: what is still on its way, and the picture of the empty scene, RGB."""

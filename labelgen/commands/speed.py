@@ -56,6 +56,14 @@ def speed(
     rule: Annotated[
         str, typer.Option("--rule", metavar="RULE", help="How c_c's two candidates become one: wider or conditioned.")
     ] = "wider",
+    near_end: Annotated[
+        str,
+        typer.Option(
+            "--near-end",
+            metavar="WHERE",
+            help="Where a mask's vehicle ends: vehicle (as common bodies do) or outline (its lowest line).",
+        ),
+    ] = "vehicle",
     score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a mask.")] = 0.5,
     weights: Annotated[
         Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
@@ -93,8 +101,8 @@ def speed(
     if from_ is None:
         from_ = "masks:maskrcnn" if variant is not None and variant.strip().lower() == "sochor" else "masks:background"
     chosen = SpeedOptions(
-        source, out, calibration, road_mask, from_, variant, pair, size, rule, score, weights, device, fps, duration,
-        stall,
+        source, out, calibration, road_mask, from_, variant, pair, size, rule, near_end, score, weights, device, fps,
+        duration, stall,
     )  # fmt: skip
     kind, _, argument = from_.partition(":")
     job = (

@@ -36,6 +36,7 @@ class SpeedOptions:
     pair: str | None
     size: str | None
     rule: str
+    near_end: str
     score: float
     weights: Path | None
     device: str | None
@@ -93,10 +94,12 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
             "masks:coco:FILE"
         )
     rule = Rule.parse(options.rule)
+    if options.near_end not in ("vehicle", "outline"):
+        raise LabelgenError(f"--near-end {options.near_end}: use vehicle or outline")
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
     is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
-    view = View.create(chosen, camera, road, pair, size_wh)
+    view = View.create(chosen, camera, road, pair, size_wh, outlines=options.near_end == "vehicle")
     masks: MaskSource = create_mask_source(
         argument, weights=options.weights, score_threshold=options.score, road_mask=road.pixels,
         device=options.device, frame_wh=frames.size_wh,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from labelgen.masks.ordering import in_order
 from labelgen.masks.patches import Box, boxes_around
 
-__all__ = ["BackgroundModel", "Difference", "is_ghost", "lightness", "slope", "strongest"]
+__all__ = ["BackgroundModel", "Difference", "is_ghost", "lightness", "slope", "stain"]
 
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -219,7 +219,7 @@ class BackgroundModel:
         return gains
 
     def _difference(self, box: Box, smooth: Image, reference: _Reference, gains: Plane) -> Difference:
-        seen, expected = smooth[box].astype(np.float32), reference.smooth[box] * gains
+        seen, expected = smooth[box].astype(np.float32), _times(reference.smooth[box], gains)
         amount = strongest(cv2.absdiff(seen, expected))
         steep = cv2.dilate(slope(lightness(expected)) / 8, np.ones((3, 3), np.uint8))
         threshold = np.asarray(self._limit(box) + _SWAY_PX[self._sways] * steep, dtype=np.float32)
@@ -264,13 +264,20 @@ class BackgroundModel:
                 ratio = (light + 4) / (lightness(part.expected) + 4)
                 changed = (part.amount > part.threshold).view(np.uint8)
                 inside = cv2.erode(changed, np.ones((5, 5), np.uint8)) > 0
-                colour = strongest(cv2.absdiff(part.smooth, part.expected * ratio[..., None]))
+                colour = stain(part, ratio)
                 flat = inside & (slope(light) < 22) & (colour < 10)
                 counts += np.histogram(ratio[flat], counts.size, (0, 1))[0]
         if counts.sum() < 200:
             return _TYPICAL_SHADOW
         smoothed = np.convolve(counts, [1, 2, 1], mode="same")
         return float((smoothed.argmax() + 0.5) / counts.size)
+
+
+def _times(picture: Plane, factors: Plane) -> Plane:
+    """A picture (H, W, 3) times a factor (3,) per channel: along whole rows, which NumPy is several times faster at."""
+    height, width, _ = picture.shape
+    rows = np.ascontiguousarray(picture).reshape(height, -1) * np.tile(factors, width)
+    return np.asarray(rows.reshape(picture.shape), dtype=np.float32)
 
 
 def lightness(picture: Plane) -> Plane:
@@ -280,8 +287,12 @@ def lightness(picture: Plane) -> Plane:
 
 def strongest(picture: NDArray[Any]) -> NDArray[Any]:
     """(H, W) greatest of the channels of (H, W, 3)."""
-    blue, green, red = cv2.split(picture)
-    return np.asarray(cv2.max(cv2.max(blue, green), red))
+    return np.asarray(np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2]))
+
+
+def stain(part: Difference, ratio: Plane) -> Plane:
+    """(h, w) by how much a part differs from the empty scene made brighter or darker by a ratio (h, w)."""
+    return strongest(cv2.absdiff(part.smooth, part.expected * cv2.merge((ratio, ratio, ratio))))
 
 
 def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.masks.background_model import Difference, lightness, slope, strongest
+from labelgen.masks.background_model import Difference, lightness, slope, stain
 from labelgen.masks.morphology import Mask, disc, morph
 from labelgen.masks.patches import Box
 
@@ -74,11 +74,11 @@ def find_evidence(seen: Difference, shadow: float) -> Evidence:
 
     light, light_before = lightness(smooth), lightness(expected)
     ratio = (light + 4) / (light_before + 4)
-    stain = strongest(cv2.absdiff(smooth, expected * ratio[..., None]))
-    changed &= ~_soft_shadow(changed, ratio, stain, seen.open_sides)
+    stained = stain(seen, ratio)
+    changed &= ~_soft_shadow(changed, ratio, stained, seen.open_sides)
     brighter = light - light_before > threshold
     black = ratio < max(min(_BLACK, _BLACK_SHARE * shadow), shadow - _BELOW_SHADOW)
-    colour = stain > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
+    colour = stained > np.maximum(_COLOUR_LEVELS, threshold * 0.8)
     inside = morph(changed, cv2.MORPH_ERODE, 2 * RIM + 1)
     # Outlines of dark things are blurred further inwards than a fixed rim: up to where the difference levels out.
     peak = cv2.dilate(difference, disc(7))
@@ -92,9 +92,9 @@ def find_evidence(seen: Difference, shadow: float) -> Evidence:
     return Evidence(seen.box, changed, changed & (firm | black), changed & (ratio < _DARK), shade)
 
 
-def _soft_shadow(changed: Mask, ratio: Plane, stain: Plane, open_sides: tuple[bool, bool, bool, bool]) -> Mask:
+def _soft_shadow(changed: Mask, ratio: Plane, stained: Plane, open_sides: tuple[bool, bool, bool, bool]) -> Mask:
     """The changed pixels that lie in a soft shadow: reached from the open road without crossing an edge."""
-    shade = (ratio < 1) & (ratio > _SHADE) & (stain < _COLOUR_LEVELS) & (slope(ratio) / 8 < _SHADE_SLOPE)
+    shade = (ratio < 1) & (ratio > _SHADE) & (stained < _COLOUR_LEVELS) & (slope(ratio) / 8 < _SHADE_SLOPE)
     passable = (shade | (changed == 0)).view(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(passable, connectivity=4)
     if count < 2:
@@ -103,12 +103,14 @@ def _soft_shadow(changed: Mask, ratio: Plane, stain: Plane, open_sides: tuple[bo
     corners = (labels[0, 0], labels[-1, 0], labels[0, 0], labels[0, -1])
     roads = {int(label) for label, is_open in zip(corners, open_sides, strict=True) if is_open}
     roads = roads or {1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())}
-    return np.asarray(np.isin(labels, list(roads)).view(np.uint8) & changed, dtype=np.uint8)
+    is_road = np.zeros(count, dtype=np.uint8)
+    is_road[list(roads)] = 1
+    return np.asarray(is_road[labels] & changed, dtype=np.uint8)
 
 
 def _range(grey: Plane, inside: Mask) -> Plane:
     """Lightest minus darkest of the pixels inside, in 3 x 3; 0 outside."""
     box = np.ones((3, 3), np.uint8)
-    lightest = cv2.dilate(np.where(inside > 0, grey, 0).astype(np.float32), box)
-    darkest = cv2.erode(np.where(inside > 0, grey, 255).astype(np.float32), box)
-    return np.where(inside > 0, lightest - darkest, 0).astype(np.float32)
+    lightest = cv2.dilate(cv2.copyTo(grey, inside), box)
+    darkest = cv2.erode(cv2.copyTo(grey, inside, np.full_like(grey, 255)), box)
+    return np.asarray(cv2.copyTo(cv2.subtract(lightest, darkest), inside), dtype=np.float32)

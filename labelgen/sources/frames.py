@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 
-__all__ = ["Frame", "FrameSource", "always", "open_frames"]
+__all__ = ["Frame", "FrameSource", "SparseSource", "always", "grey_of", "open_frames", "sparse_frames"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,16 @@ class Frame:
     time_s: float
     image: NDArray[np.uint8]
     name: str = ""
+
+    @cached_property
+    def grey(self) -> NDArray[np.uint8]:
+        """(H, W) uint8, the image without its colours."""
+        return grey_of(self.image)
+
+
+def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) uint8 greys of a picture (H, W, 3) uint8 BGR."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def always(number: int) -> bool:
@@ -73,6 +85,30 @@ class FrameSource(Protocol):
             wanted: whether the frame of this number is to be converted and given; others cost only their decoding.
         """
         ...
+
+
+@runtime_checkable
+class SparseSource(Protocol):
+    """A source that can give a few of its frames for less than all of them cost."""
+
+    def sparse_frames(self, wanted: Callable[[int], bool], not_before_s: Callable[[], float]) -> Iterator[Frame]:
+        """Wanted frames, in order, whose pictures are made when they are asked for.
+
+        Args:
+            wanted: whether the frame of this number is to be given.
+            not_before_s: asked again and again: frames before this time, s, are not wanted and may be passed over
+                undecoded, and so may some after it.
+        """
+        ...
+
+
+def sparse_frames(
+    source: FrameSource, wanted: Callable[[int], bool], not_before_s: Callable[[], float]
+) -> Iterator[Frame]:
+    """Wanted frames of any source; see `SparseSource.sparse_frames`. Where it can pass over none, all wanted come."""
+    if isinstance(source, SparseSource):
+        return source.sparse_frames(wanted, not_before_s)
+    return source.frames(wanted)
 
 
 def open_frames(path: str | Path, *, threads: int = 0) -> FrameSource:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.sources.frames import Frame, always
+from labelgen.sources.lazy_frame import LazyFrame
+from labelgen.sources.leap import Leap
 
 __all__ = ["VideoFile"]
 
@@ -30,6 +33,10 @@ _OPEN_OPTIONS = {
 }
 # An announced count that was only computed from duration times rate may be off by this many frames and this share.
 _COUNT_SLACK = (3, 0.02)
+# Formats whose first plane is the picture's brightness in bytes; from 16 to 235 unless it is said to be of full range.
+_WITH_BRIGHTNESS = {f"yuv{full}{rate}p" for full in ("", "j") for rate in (420, 422, 444)} | {"nv12"}
+_FULL_RANGE = 2
+_STRETCH = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
 _QUARTER_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
 
 
@@ -57,7 +64,7 @@ class VideoFile:
             stream = self._stream(container)
             self.fps = _positive(stream.average_rate) or _positive(stream.guessed_rate)
             self.frame_count, self._count_is_exact = _announced(stream, container, self.fps)
-            first = next(self._decode(container, stream, _Tally()), None)
+            first = next(self._decode(container.demux(stream), stream, _Tally()), None)
             if first is None:
                 raise DataError(f"{self.path}: no frame of it can be decoded; the file is damaged or cut off")
             self._coded_wh = (int(first.width), int(first.height))
@@ -66,29 +73,50 @@ class VideoFile:
 
     def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
         """The wanted frames; see `FrameSource.frames`. Afterwards `problems` tells what was skipped."""
+        reformatter = av.video.reformatter.VideoReformatter()
+        for number, time_s, decoded in self._pass(None):
+            if wanted(number):
+                yield Frame(number, time_s, self._image(decoded, reformatter))
+
+    def sparse_frames(self, wanted: Callable[[int], bool], not_before_s: Callable[[], float]) -> Iterator[Frame]:
+        """A few of the frames; see `labelgen.sources.frames.SparseSource`. Each holds on to the decoder's memory."""
+        reformatter = av.video.reformatter.VideoReformatter()
+        leap = Leap(not_before_s)
+        for number, time_s, decoded in self._pass(leap):
+            if wanted(number) and not time_s < leap.landed_s:
+                convert, take_greys = partial(self._image, decoded, reformatter), partial(self._greys, decoded)
+                yield LazyFrame(number, time_s, convert, take_greys)
+
+    def _pass(self, leap: Leap | None) -> Iterator[tuple[int, float, Any]]:
+        """Number, time in s and frame as decoded of all that a pass over the file decodes."""
         self.problems = []
         tally = _Tally()
-        reformatter = av.video.reformatter.VideoReformatter()
         first_pts: int | None = None
         latest = -math.inf
         number = -1
         with self._open() as container:
             stream = self._stream(container)
             base = float(stream.time_base) if stream.time_base else math.nan
-            for number, decoded in enumerate(self._decode(container, stream, tally)):
+
+            def time_of(thing: Any) -> float:
+                return math.nan if thing.pts is None or first_pts is None else (thing.pts - first_pts) * base
+
+            packets = container.demux(stream)
+            if leap is not None:
+                packets = leap.over(packets, time_of)
+            for count, decoded in enumerate(self._decode(packets, stream, tally)):
+                number = count + (leap.dropped if leap is not None else 0)
                 if number == 0:
                     first_pts = decoded.pts
                 if (decoded.width, decoded.height) != self._coded_wh:
                     tally.other_size(number, (decoded.width, decoded.height))
                     continue
-                if decoded.pts is None or first_pts is None or math.isnan(base):
-                    time_s = number / self.fps if self.fps else math.nan
-                else:
-                    time_s = (decoded.pts - first_pts) * base
+                time_s = time_of(decoded)
+                if math.isnan(time_s) and self.fps:
+                    time_s = number / self.fps
                 tally.backwards += time_s < latest
                 latest = max(latest, time_s)
-                if wanted(number):
-                    yield Frame(number, time_s, self._image(decoded, reformatter))
+                yield number, time_s, decoded
         self.problems = tally.problems(number + 1, self.frame_count, self._count_is_exact, self.size_wh)
 
     def _open(self) -> AbstractContextManager[Any]:
@@ -116,10 +144,9 @@ class VideoFile:
         streams[0].codec_context.thread_count = self._threads
         return streams[0]
 
-    def _decode(self, container: Any, stream: Any, tally: _Tally) -> Iterator[Any]:
+    def _decode(self, packets: Iterator[Any], stream: Any, tally: _Tally) -> Iterator[Any]:
         """Frames as FFmpeg decodes them; damaged packets and a broken end are noted in the tally."""
         seen = 0
-        packets = container.demux(stream)
         while True:
             try:
                 packet = next(packets, None)
@@ -143,9 +170,17 @@ class VideoFile:
 
     def _image(self, decoded: Any, reformatter: Any) -> NDArray[np.uint8]:
         image = reformatter.reformat(decoded, format="bgr24", threads=self._threads or None).to_ndarray()
-        if self._turn:
-            image = cv2.rotate(image, _QUARTER_TURNS[self._turn])
-        return np.ascontiguousarray(image)
+        return _turned(image, self._turn)
+
+    def _greys(self, decoded: Any) -> NDArray[np.uint8] | None:
+        """The decoder's brightness plane, stretched as the picture's colours are; None where it has none of 8 bits."""
+        if decoded.format.name not in _WITH_BRIGHTNESS:
+            return None
+        plane = decoded.planes[0]
+        greys = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: decoded.height, : decoded.width]
+        if decoded.color_range != _FULL_RANGE and not decoded.format.name.startswith("yuvj"):
+            greys = np.asarray(cv2.LUT(greys, _STRETCH), dtype=np.uint8)
+        return _turned(greys, self._turn)
 
 
 class _Tally:
@@ -225,3 +260,8 @@ def _announced(stream: Any, container: Any, fps: float | None) -> tuple[int | No
 def _quarter_turn(decoded: Any) -> int:
     """Counter-clockwise turn, degrees, that the file asks for before showing: 0, 90, 180 or 270."""
     return round(int(decoded.rotation) / 90) * 90 % 360
+
+
+def _turned(picture: NDArray[np.uint8], degrees: int) -> NDArray[np.uint8]:
+    """A picture (H, W[, C]) turned counter-clockwise by quarter turns."""
+    return np.ascontiguousarray(cv2.rotate(picture, _QUARTER_TURNS[degrees]) if degrees else picture)

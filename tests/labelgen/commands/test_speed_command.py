@@ -16,10 +16,12 @@ import av
 import cv2
 import numpy as np
 import pytest
-from speed_scenes import Drive, frame_times, make_camera, make_road, write_scene
+from speed_scenes import FRAME_WH, Drive, frame_times, make_camera, make_road, write_scene
 from stream_server import serve_stream
 
+from detector.stance import near_end_m
 from labelgen.cli import main
+from labelgen.geometry import Camera
 
 DRIVES = [Drive(60.0, 38.0, 2.0), Drive(72.0, 16.0, -3.0, 1), Drive(48.0, 60.0, 2.2)]
 SPEEDS = [60.0, 72.0, 48.0]
@@ -33,9 +35,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(*arguments: Any) -> int:
+def run(*arguments: Any, near_end: str = "outline") -> int:
+    """Cuboids end where their outlines do; vehicles do not."""
     with pytest.raises(SystemExit) as stop:
-        main(["speed", *map(str, arguments)])
+        main(["speed", *map(str, arguments), "--near-end", near_end])
     return int(stop.value.code or 0)
 
 
@@ -72,6 +75,24 @@ def test_every_variant_from_masks(scene: Path, tmp_path: Path, variant: str, pai
     assert (summary["frames"], summary["vehicles"], summary["variant"]) == (100, 3, variant)
     assert sorted(speeds(tmp_path / "road", variant)) == pytest.approx(sorted(SPEEDS), abs=tolerance)
     assert sorted(summary["files"]) == ["detections", "tracks", "vehicles"]
+
+
+def test_outlines_of_vehicles_are_measured_at_their_near_ends(scene: Path, tmp_path: Path) -> None:
+    masks = ("--from", f"masks:coco:{scene / 'masks.json'}")
+    assert run(scene / "road.mp4", *masks, "--out", tmp_path / "outline") == 0
+    assert run(scene / "road.mp4", *masks, "--out", tmp_path / "vehicle", near_end="vehicle") == 0
+    camera = Camera.load(scene / "road.calibration.json", image_wh=FRAME_WH)
+    ahead = []
+    for folder in ("outline", "vehicle"):
+        cars = json.loads((tmp_path / folder / "road" / "system_transform3d.json").read_text())["cars"]
+        points = np.array([[car["posX"][3], car["posY"][3]] for car in cars])
+        ahead.append(camera.road_points(points)[:, 0])
+    np.testing.assert_allclose(ahead[1], near_end_m(ahead[0], camera.height_m), atol=0.02)
+    # A file of detections says which of the two it is.
+    again = ("--from", f"detections:{tmp_path / 'vehicle' / 'road' / 'detections_transform3d.jsonl'}")
+    assert run(scene / "road.mp4", *again, "--out", tmp_path / "again") == 0
+    assert speeds(tmp_path / "again" / "road") == pytest.approx(speeds(tmp_path / "vehicle" / "road"), abs=0.02)
+    assert run(scene / "road.mp4", *masks, "--out", tmp_path / "no", near_end="middle") == 2
 
 
 def test_dubska_measures_what_moves(scene: Path, tmp_path: Path) -> None:

@@ -1,0 +1,32 @@
+"""The kept forms of common vehicles are those of the renderer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labelgen.calibrate.bodies import COMMON_KINDS, common_bodies
+from labelgen.synth.bodies import body_mesh
+from labelgen.synth.shapes import mean_shape
+from tools.common_bodies import corners
+
+
+@pytest.mark.parametrize("kind", COMMON_KINDS)
+def test_the_file_holds_the_renderers_bodies(kind: str) -> None:
+    """If this fails, run `python -m tools.common_bodies`."""
+    kept = next(body.points for body in common_bodies() if body.kind == kind)
+    np.testing.assert_allclose(kept, corners(kind), atol=0.0006)
+
+
+@pytest.mark.parametrize("kind", COMMON_KINDS)
+def test_few_corners_reach_as_far_as_the_whole_body(kind: str) -> None:
+    kept = next(body.points for body in common_bodies() if body.kind == kind)
+    directions = np.random.default_rng(0).normal(size=(3, 500))
+    directions /= np.linalg.norm(directions, axis=0)
+    whole = (body_mesh(mean_shape(kind)).vertices @ directions).max(axis=0)
+    np.testing.assert_allclose((kept @ directions).max(axis=0), whole, atol=0.02)
+    assert len(kept) < 150
+
+
+def test_shares_sum_to_one() -> None:
+    assert sum(body.share for body in common_bodies()) == pytest.approx(1)

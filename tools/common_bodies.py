@@ -1,0 +1,55 @@
+"""The forms of common vehicles, from the synthetic renderer's bodies, as the calibration keeps them.
+
+    python -m tools.common_bodies
+
+Writes labelgen/calibrate/common_bodies.json: to make the bodies anew takes as long as a few seconds of video do. A test
+says when it is out of date.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from labelgen.calibrate import bodies
+from labelgen.calibrate.bodies import BODIES_FILE, COMMON_KINDS
+from labelgen.files import write_atomic
+from labelgen.geometry.projective import Array
+from labelgen.synth.bodies import body_mesh
+from labelgen.synth.shapes import mean_shape
+
+__all__ = ["corners", "main"]
+
+_DIRECTIONS, _SHORT_M = 3000, 0.01
+
+
+def corners(kind: str) -> Array:
+    """(V, 3) m, the fewest corners of a body's hull that reach as far as it does in any direction, to a centimetre."""
+    points = body_mesh(mean_shape(kind)).vertices
+    # Directions spread evenly over the sphere.
+    k = np.arange(_DIRECTIONS) + 0.5
+    z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    spread = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
+    reaches = points @ np.concatenate([spread, np.eye(3), -np.eye(3)], axis=1)
+    farthest = reaches.max(axis=0)
+    chosen = [int(reaches[:, 0].argmax())]
+    while True:
+        short = farthest - reaches[chosen].max(axis=0)
+        worst = int(short.argmax())
+        if short[worst] <= _SHORT_M:
+            return np.asarray(points[chosen])
+        chosen.append(int(reaches[:, worst].argmax()))
+
+
+def main() -> None:
+    """Write the file."""
+    rows = [f'"{kind}": {np.rint(1000 * corners(kind)).astype(int).tolist()}' for kind in COMMON_KINDS]
+    path = Path(bodies.__file__).with_name(BODIES_FILE)
+    write_atomic(path, ("{\n" + ",\n".join(rows) + "\n}\n").encode())
+    typer.echo(str(path))
+
+
+if __name__ == "__main__":
+    typer.run(main)
