@@ -247,7 +247,7 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     plate(skin, Chart.REAR, (0, high if style.plate_high else max(foot + 0.04, bumper_top - 0.1)), style.plate, rng)
     for side in (-1, 1):
         low = (side * 0.72 * narrow, foot + 0.04)
-        skin.rectangle(Chart.REAR, low, (side * 0.95 * narrow, foot + 0.075), (0.25, 0.01, 0.01), LAMP)
+        skin.rectangle(Chart.REAR, low, (side * 0.95 * narrow, foot + 0.065), (0.08, 0.014, 0.015), LAMP)
     if rng.random() < 0.5:
         skin.circle(Chart.REAR, (0.6 * narrow, shape.clearance + 0.05), 0.035, (0.15, 0.15, 0.15), CHROME)
 

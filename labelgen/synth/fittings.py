@@ -99,7 +99,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
     ((0.62, 0.62, 0.60), _INK, True), ((0.42, 0.32, 0.09), _INK, True),
-    ((0.095, 0.18, 0.29), (0.40, 0.43, 0.45), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
+    ((0.15, 0.225, 0.29), (0.44, 0.46, 0.47), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 
@@ -156,14 +156,14 @@ def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 
     return np.asarray(inner)
 
 
-def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.4) -> None:
+def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
     """What glass mirrors over what lies behind it: sky near its upper edge, less and less below, softly.
 
     The ring starts with the lower edge where it is drawn from above.
     """
     points = np.asarray(ring, dtype=np.float64)
-    top, foot = share * rng.uniform(0.6, 1.3), 0.12 * share
-    tone: Colour = (0.13, 0.145, 0.16)
+    top, foot = share * rng.uniform(0.6, 1.3), 0.06 * share
+    tone: Colour = (0.19, 0.21, 0.23)
     if chart is not Chart.TOP:
         skin.fade(chart, points, tone, (top, foot))
         return
@@ -207,8 +207,8 @@ def passengers(
         place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
         oval(*place, rng.uniform(0.10, 0.3), rng.uniform(0.05, 0.12) * long, (grey * 0.95, grey * 1.05, grey))
     for side in (-0.5, 0.5):
-        seat = rng.uniform(0.014, 0.05)
-        oval(side * half, high - 0.22 * long, 0.14, 0.10 * long, (seat, seat, seat))
+        seat = rng.uniform(0.03, 0.08) if rear else rng.uniform(0.014, 0.05)
+        oval(side * half, high - (0.5 if rear else 0.22) * long, 0.14, 0.10 * long, (seat, seat, seat))
         if not rear and (side < 0 or rng.random() < 0.3):
             r, g, b = (rng.uniform(0.008, 0.05) * rng.normal(1, 0.15, 3).clip(0.5, 1.5)).tolist()
             oval(side * half, low + 0.50 * long, 0.17, 0.15 * long, (r, g, b))

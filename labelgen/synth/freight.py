@@ -125,7 +125,7 @@ def draw_bus(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.rand
         skin.groove(Chart.SIDE, [(0.1, z), (shape.length - 0.1, z)], 0.006)
         skin.shadow(Chart.SIDE, [(0.1, z), (shape.length - 0.1, z)], 0.25, 0.03)
     skin.fade(
-        Chart.SIDE, [(0, 0.1), (shape.length, 0.1), (shape.length, shape.belt), (0, shape.belt)], _GRIME, (0.0, 0.6)
+        Chart.SIDE, [(0, 0.1), (shape.length, 0.1), (shape.length, shape.belt), (0, shape.belt)], _GRIME, (0.0, 0.45)
     )
     _bus_glazing(skin, shape, paint, rng)
     for axle in shape.axles:
@@ -256,5 +256,5 @@ def draw_bus_rear(
             colour: Colour = (0.42, 0.035, 0.045) if shines else plain
             skin.circle(Chart.REAR, (y, bumper + 0.17 + 0.18 * k), 0.075, colour, LIT if shines else LAMP)
         skin.rectangle(Chart.REAR, (y - 0.07, high - 0.3), (y + 0.07, high - 0.26), red, LAMP)
-    skin.fade(Chart.REAR, [(-half, 0), (half, 0), (half, low), (-half, low)], _GRIME, (0.05, 0.6))
+    skin.fade(Chart.REAR, [(-half, 0), (half, 0), (half, low), (-half, low)], _GRIME, (0.0, 0.4))
     plate(skin, Chart.REAR, (0, bumper + 0.1), style.plate, rng)

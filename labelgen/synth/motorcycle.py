@@ -52,8 +52,8 @@ def _clothes(rng: np.random.Generator) -> Colour:
     if kind < 0.72:
         return level, level, level * 1.05
     if kind < 0.93:
-        return 0.55 * level, 0.7 * level, 1.3 * level
-    red, green, blue = (level + 0.35 * (rng.uniform(0.02, 0.3, 3) - level)).tolist()
+        return 0.65 * level, 0.8 * level, 1.15 * level
+    red, green, blue = (level + 0.22 * (rng.uniform(0.02, 0.3, 3) - level)).tolist()
     return red, green, blue
 
 
