@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labelgen.synth.bodies import cabin_edge, shell_end
-from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, mirrored, pane, passengers, plate
+from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, gleam, mirrored, pane, passengers, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import CHROME, GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
@@ -48,8 +48,8 @@ def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
     _head_lamps(skin, shape, style, narrow, lamps)
     _fog_lamps(skin, narrow, foot + style.cladding + 0.06, rng)
     for line in ([(-narrow, nose - 0.04), (narrow, nose - 0.04)], [(-half, bumper_top), (half, bumper_top)]):
-        skin.line(Chart.FRONT, line, dim(paint, _SEAM), PAINT, 0.014)
-        skin.shadow(Chart.FRONT, line, 0.25)
+        skin.line(Chart.FRONT, line, dim(paint, 0.55), PAINT, 0.012)
+        skin.shadow(Chart.FRONT, line, 0.18)
     low = max(foot + 0.10, bumper_top - rng.uniform(0.06, 0.16))
     plate(skin, Chart.FRONT, (0, low), style.plate, rng)
 
@@ -86,26 +86,31 @@ def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator
         (-glass_half, shape.cowl[1]), (glass_half, shape.cowl[1]),
         (top_half, shape.roof_front[1] - 0.03), (-top_half, shape.roof_front[1] - 0.03),
     ]  # fmt: skip
-    pane(skin, Chart.FRONT, ring, style.glass)
+    inner = pane(skin, Chart.FRONT, ring, style.glass)
     passengers(skin, Chart.FRONT, (shape.cowl[1] + 0.05, shape.roof_front[1] - 0.12), 0.62 * half, rng)
+    gleam(skin, Chart.FRONT, inner, rng)
 
 
 def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: float, rng: np.random.Generator) -> None:
     """Openings between and below the lamps."""
     top, foot = shape.nose - 0.06, shape.clearance + 0.08 + style.cladding
     family = style.grille
+    # Light comes into the openings, and bars stand in them that hardly part from what lies behind.
+    hollow = rng.uniform(0.016, 0.034)
+    dark: Colour = (hollow, hollow, 1.04 * hollow)
+    bar_tone = rng.uniform(1.2, 1.9)
 
     def opening(half: float, low: float, high: float, taper: float = 0.0) -> None:
         if high - low < 0.03:
             return
         ring = [(-half + taper, low), (half - taper, low), (half, high), (-half, high)]
         smooth = rounded(ring)
-        skin.polygon(Chart.FRONT, smooth, BLACK, MATTE)
-        skin.emboss(Chart.FRONT, smooth, -0.02)
+        skin.polygon(Chart.FRONT, smooth, dark, MATTE)
+        skin.emboss(Chart.FRONT, smooth, -0.012)
         for z in np.arange(low + 0.03, high - 0.01, 0.045).tolist():
-            skin.line(Chart.FRONT, [(-half + taper + 0.02, z), (half - taper - 0.02, z)], (0.04, 0.04, 0.04), MATTE)
+            skin.line(Chart.FRONT, [(-half + taper + 0.02, z), (half - taper - 0.02, z)], dim(dark, bar_tone), MATTE)
         if style.chrome:
-            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), CHROME_TONE, CHROME, 0.015)
+            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), dim(CHROME_TONE, 0.6), CHROME, 0.012)
 
     deep = rng.uniform(0.15, 0.27)
     lower = (foot, min(foot + deep, bumper_top - 0.06))
@@ -116,12 +121,12 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         opening(rng.uniform(0.34, 0.46) * narrow, foot + 0.03, top, 0.08)
         for side in (-1, 1):
             ring = mirrored([(0.55 * narrow, foot), (0.92 * narrow, foot), (0.92 * narrow, foot + 0.15)], side)
-            skin.polygon(Chart.FRONT, ring, BLACK, MATTE)
+            skin.polygon(Chart.FRONT, ring, dark, MATTE)
     elif family == 2:  # two openings side by side
         for side in (-1, 1):
             ring = mirrored([(0.03, top - 0.20), (0.26, top - 0.20), (0.30, top), (0.03, top)], side)
-            skin.polygon(Chart.FRONT, rounded(ring), BLACK, MATTE)
-            skin.line(Chart.FRONT, rounded([*ring, ring[0]]), CHROME_TONE, CHROME, 0.02)
+            skin.polygon(Chart.FRONT, rounded(ring), dark, MATTE)
+            skin.line(Chart.FRONT, rounded([*ring, ring[0]]), dim(CHROME_TONE, 0.6), CHROME, 0.014)
         opening(0.6 * narrow, *lower)
     elif family == 3:  # a slot above, a big mouth below
         opening(0.5 * narrow, top - 0.07, top)
@@ -130,13 +135,13 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         opening(0.56 * narrow, top - 0.2, top)
         for y in np.linspace(-0.5, 0.5, 12).tolist():
             bar = [(y * narrow, top - 0.19), (y * narrow, top - 0.01)]
-            skin.line(Chart.FRONT, bar, dim(CHROME_TONE, 0.4), CHROME if style.chrome else MATTE, 0.012)
+            skin.line(Chart.FRONT, bar, dim(CHROME_TONE, 0.2), CHROME if style.chrome else MATTE, 0.012)
         opening(0.5 * narrow, *lower)
     elif family == 5:  # closed, a mouth below
         skin.emboss(Chart.FRONT, rounded([(-0.4, top - 0.15), (0.4, top - 0.15), (0.45, top), (-0.45, top)]), -0.012)
         opening(0.8 * narrow, *lower, 0.1)
     else:  # a body-wide black band with the lamps in it
-        skin.rectangle(Chart.FRONT, (-narrow, top - 0.16), (narrow, top - 0.02), BLACK, PAINT)
+        skin.rectangle(Chart.FRONT, (-narrow, top - 0.16), (narrow, top - 0.02), dark, PAINT)
         opening(0.66 * narrow, *lower)
     if rng.random() < 0.85:
         skin.circle(Chart.FRONT, (0, top - 0.07), rng.uniform(0.03, 0.06), CHROME_TONE, CHROME)
@@ -149,8 +154,8 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
         ring = mirrored([(share * narrow, nose + _LAMP_TALL * down) for share, down in shapes], side)
         smooth = rounded(ring)
         middle = np.mean(ring, axis=0)
-        skin.polygon(Chart.FRONT, smooth, BLACK, MATTE)
-        skin.shadow(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), 0.5, 0.04)
+        skin.polygon(Chart.FRONT, smooth, TRIM, MATTE)
+        skin.shadow(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), 0.3, 0.03)
         skin.polygon(Chart.FRONT, middle + 0.86 * (smooth - middle), _BEHIND_GLASS, LAMP)
         skin.bow(Chart.FRONT, smooth, (1.2, 1.5), (0.0, 0.3))
         tall = float(np.ptp(smooth[:, 1]))
@@ -178,11 +183,11 @@ def _fog_lamps(skin: Skin, narrow: float, z: float, rng: np.random.Generator) ->
     for side in (-1, 1):
         centre = (side * 0.80 * narrow, z)
         if style == 0:
-            skin.circle(Chart.FRONT, centre, 0.075, BLACK, MATTE)
+            skin.circle(Chart.FRONT, centre, 0.075, TRIM, MATTE)
             skin.circle(Chart.FRONT, centre, 0.048, _REFLECTOR, LAMP)
         elif style == 1:
             ring = mirrored([(0.68 * narrow, z - 0.06), (0.98 * narrow, z - 0.06), (0.94 * narrow, z + 0.10)], side)
-            skin.polygon(Chart.FRONT, ring, BLACK, MATTE)
+            skin.polygon(Chart.FRONT, ring, TRIM, MATTE)
         elif style == 2:
             low, high = (side * 0.70 * narrow, z + 0.03), (side * 0.95 * narrow, z + 0.05)
             skin.rectangle(Chart.FRONT, low, high, (0.6, 0.6, 0.6), LAMP)
@@ -242,7 +247,7 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     plate(skin, Chart.REAR, (0, high if style.plate_high else max(foot + 0.04, bumper_top - 0.1)), style.plate, rng)
     for side in (-1, 1):
         low = (side * 0.72 * narrow, foot + 0.04)
-        skin.rectangle(Chart.REAR, low, (side * 0.95 * narrow, foot + 0.075), (0.25, 0.01, 0.01), LAMP)
+        skin.rectangle(Chart.REAR, low, (side * 0.95 * narrow, foot + 0.065), (0.08, 0.014, 0.015), LAMP)
     if rng.random() < 0.5:
         skin.circle(Chart.REAR, (0.6 * narrow, shape.clearance + 0.05), 0.035, (0.15, 0.15, 0.15), CHROME)
 
@@ -264,7 +269,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
     if rng.random() < 0.6:
         for side in (-1, 1):
             ring = mirrored([(0.10, 1.35), (0.72, 1.35), (0.70, 1.95), (0.10, 1.95)], side)
-            pane(skin, Chart.REAR, ring, style.rear_glass)
+            gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng)
     for side in (-1, 1):
         for z in (0.8, 1.7):
             skin.rectangle(Chart.REAR, (side * 0.86, z), (side * 0.93, z + 0.08), TRIM, MATTE)
@@ -276,12 +281,13 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.
     low, high = shape.rear_window, shape.roof_rear
     y0, y1 = cabin_edge(shape, half, low[1]) - 0.10, cabin_edge(shape, half, high[1]) - 0.12
     ring = [(-y0, low[1] + 0.03), (y0, low[1] + 0.03), (y1, high[1] - 0.05), (-y1, high[1] - 0.05)]
-    pane(skin, Chart.REAR, ring, style.rear_glass)
+    inner = pane(skin, Chart.REAR, ring, style.rear_glass)
     passengers(skin, Chart.REAR, (low[1] + 0.06, high[1] - 0.08), 0.7 * half, rng, rear=True)
+    gleam(skin, Chart.REAR, inner, rng)
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low[1] + 0.04), (0.35, low[1] + 0.12)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
-    third: tuple[Colour, int] = ((1.0, 0.12, 0.10), LIT) if braking else ((0.12, 0.008, 0.008), GLASS)
+    third: tuple[Colour, int] = ((0.6, 0.08, 0.08), LIT) if braking else ((0.06, 0.010, 0.011), GLASS)
     skin.rectangle(Chart.REAR, (-0.14, high[1] - 0.075), (0.14, high[1] - 0.04), *third)
 
 
@@ -290,29 +296,37 @@ def _tail_lamps(
     lamps: bool, braking: bool,
 ) -> None:  # fmt: skip
     family = _TAIL_LAMPS[style.rear_lamp]
-    bright = rng.uniform(0.6, 1.4)
-    red: Colour = (0.45, 0.014, 0.016) if lamps else (0.17 * bright, 0.010, 0.014)
+    # Unlit ones are dark red, and greyed by what they mirror; those across the whole lid shine at their ends alone.
+    bright, wide = rng.uniform(0.6, 1.4), style.rear_lamp == 5
+    unlit: Colour = (0.12 * bright, 0.016, 0.019)
+    red: Colour = unlit
+    if lamps:
+        red = (0.30, 0.016, 0.02)
     if braking:
-        red = (0.55, 0.03, 0.035)
-    clear: Colour = (0.36, 0.34, 0.33)
+        red = (0.42, 0.034, 0.045)
+    clear: Colour = dim((0.22, 0.19, 0.185), rng.uniform(0.7, 1.4))
+    shining = LIT if lamps or braking else LAMP
     for side in (-1, 1):
         ring = mirrored([(share * narrow, top - down * tall) for share, down in family], side)
         smooth = rounded(ring, 0.06)
         middle = np.mean(ring, axis=0)
         skin.polygon(Chart.REAR, smooth, dim(red, 0.25), LAMP)
-        skin.polygon(Chart.REAR, middle + 0.88 * (smooth - middle), red, LIT if lamps or braking else LAMP)
+        skin.polygon(
+            Chart.REAR, middle + 0.88 * (smooth - middle), *((dim(unlit, 0.7), LAMP) if wide else (red, shining))
+        )
         # A lamp is a bowl behind bowed glass: brighter in its middle, with a dark gap around.
         skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.55, 0.035)
-        core: tuple[Colour, int] = ((1.0, 0.22, 0.20), LIT) if braking else (dim(red, 1.6), LIT if lamps else LAMP)
-        skin.polygon(Chart.REAR, middle + 0.4 * (smooth - middle), *core)
+        core: tuple[Colour, int] = ((0.8, 0.19, 0.20), LIT) if braking else (dim(red, 1.5), LIT if lamps else LAMP)
+        heart = np.array([side * 0.88 * narrow, middle[1]]) if wide else middle
+        skin.polygon(Chart.REAR, heart + (0.15 if wide else 0.4) * (smooth - middle), *core)
         skin.bow(Chart.REAR, smooth, (1.5, 2.0), (0.0, 0.2))
         low = (side * 0.86 * narrow, top - 0.72 * tall)
         if style.rear_lamp in (0, 3, 4):
-            skin.rectangle(Chart.REAR, low, (side * 1.02 * narrow, low[1] + 0.25 * tall), clear, LAMP)
+            skin.rectangle(Chart.REAR, low, (side * 1.02 * narrow, low[1] + 0.18 * tall), clear, LAMP)
         if style.rear_lamp == 1:
             skin.rectangle(
-                Chart.REAR, (side * 0.85 * narrow, top), (side * 1.02 * narrow, top + 0.05), (0.5, 0.2, 0.02), LAMP
+                Chart.REAR, (side * 0.88 * narrow, top), (side * 1.0 * narrow, top + 0.03), (0.24, 0.12, 0.035), LAMP
             )
     end = shell_end(shape)
     reach = max(-down for _, down in family) * tall
-    skin.rectangle(Chart.SIDE, (end - 0.20, top - 0.8 * tall), (end, top + max(reach, 0.0)), red, LAMP)
+    skin.rectangle(Chart.SIDE, (end - 0.20, top - 0.8 * tall), (end, top + max(reach, 0.0)), unlit, LAMP)

@@ -21,6 +21,7 @@ __all__ = [
     "TRIM",
     "Style",
     "draw_wheels",
+    "gleam",
     "mirrored",
     "pane",
     "passengers",
@@ -82,9 +83,9 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     return Style(
         grille=int(rng.integers(7)),
         lamp=int(rng.integers(6)),
-        rear_lamp=int(rng.integers(6)),
+        rear_lamp=int(rng.choice(6, p=[0.24, 0.22, 0.18, 0.10, 0.22, 0.04])),
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
-        dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.12)),
+        dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
         chrome=bool(rng.random() < 0.25),
         glass=(clear, clear * 1.15, clear * 1.15),
         rear_glass=(private, private * 1.1, private * 1.1),
@@ -95,11 +96,21 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     )
 
 
+_INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.68, 0.68, 0.66), BLACK, True), ((0.48, 0.33, 0.06), BLACK, True), ((0.045, 0.10, 0.23), (0.5, 0.5, 0.5), False),
-    ((0.66, 0.66, 0.63), (0.05, 0.08, 0.25), False),
+    ((0.62, 0.62, 0.60), _INK, True), ((0.42, 0.32, 0.09), _INK, True),
+    ((0.15, 0.225, 0.29), (0.44, 0.46, 0.47), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
+
+
+_DUST: Colour = (0.20, 0.19, 0.17)
+_SKY: Colour = (0.30, 0.33, 0.36)
+
+
+def _toward(colour: Colour, other: Colour, share: float) -> Colour:
+    red, green, blue = (a + share * (b - a) for a, b in zip(colour, other, strict=True))
+    return red, green, blue
 
 
 def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator) -> None:
@@ -107,17 +118,19 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     y, z = centre
     ground, ink, strip = _PLATES[family]
     half, tall = (0.26, 0.055) if family < 2 else (0.21, 0.07)
+    worn = rng.uniform(0.0, 0.3)
+    ground, ink = _toward(ground, _DUST, 0.6 * worn), _toward(ink, ground, 0.1 + worn)
     recess = [(y - half, z + tall), (y + half, z + tall), (y + half, z - tall), (y - half, z - tall)]
     skin.flatten(chart, recess)
     skin.shadow(chart, [*recess, recess[0]], 0.3, 0.05)
-    skin.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), BLACK, MATTE)
+    skin.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), TRIM, MATTE)
     skin.rectangle(chart, (y - half, z - tall), (y + half, z + tall), ground, PLATE)
     if strip:
-        skin.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.01, 0.03, 0.30), PLATE)
+        skin.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.03, 0.06, 0.24), PLATE)
     for k in range(7):
         if k == 3:
             continue
-        left, wide, high = y + half * (-0.75 + 0.24 * k), 0.040, 0.55 * tall
+        left, wide, high = y + half * (-0.72 + 0.23 * k), 0.034, 0.46 * tall
         for _ in range(int(rng.integers(1, 4))):  # strokes
             if rng.random() < 0.5:
                 at = left + rng.uniform(0, wide - 0.012)
@@ -125,6 +138,8 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
             else:
                 at = z + rng.uniform(-high, high - 0.012)
                 skin.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
+    # The sky is mirrored in its upper part.
+    skin.fade(chart, recess, _SKY, (rng.uniform(0.1, 0.4), 0.05))
 
 
 def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
@@ -139,6 +154,22 @@ def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 
     # Glass is bowed across: its middle mirrors the sky, its sides what stands beside the road.
     skin.bow(chart, smooth, (0.2, 0.42) if chart is Chart.TOP else (0.42, 0.45))
     return np.asarray(inner)
+
+
+def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
+    """What glass mirrors over what lies behind it: sky near its upper edge, less and less below, softly.
+
+    The ring starts with the lower edge where it is drawn from above.
+    """
+    points = np.asarray(ring, dtype=np.float64)
+    top, foot = share * rng.uniform(0.6, 1.3), 0.06 * share
+    tone: Colour = (0.19, 0.21, 0.23)
+    if chart is not Chart.TOP:
+        skin.fade(chart, points, tone, (top, foot))
+        return
+    n = len(points) // 2
+    rises = points[n:, 0].mean() > points[:n, 0].mean()
+    skin.fade(chart, points, tone, (foot, top) if rises else (top, foot), level=True)
 
 
 def passengers(
@@ -171,13 +202,13 @@ def passengers(
     if chart is not Chart.TOP:
         corners = [(y, along) for along, y in corners]
     skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
-    for _ in range(int(rng.integers(5, 14))):  # what else lies, hangs and gleams in there, and what the glass mirrors
-        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.018 if rear else 0.07))))
+    for _ in range(int(rng.integers(1, 4))):  # what else lies, hangs and gleams in there, and what the glass mirrors
+        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.018 if rear else 0.03))))
         place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
-        oval(*place, rng.uniform(0.015, 0.14), rng.uniform(0.012, 0.06) * long, (grey * 0.95, grey * 1.05, grey))
+        oval(*place, rng.uniform(0.10, 0.3), rng.uniform(0.05, 0.12) * long, (grey * 0.95, grey * 1.05, grey))
     for side in (-0.5, 0.5):
-        seat = rng.uniform(0.008, 0.04)
-        oval(side * half, high - 0.22 * long, 0.14, 0.10 * long, (seat, seat, seat))
+        seat = rng.uniform(0.03, 0.08) if rear else rng.uniform(0.014, 0.05)
+        oval(side * half, high - (0.5 if rear else 0.22) * long, 0.14, 0.10 * long, (seat, seat, seat))
         if not rear and (side < 0 or rng.random() < 0.3):
             r, g, b = (rng.uniform(0.008, 0.05) * rng.normal(1, 0.15, 3).clip(0.5, 1.5)).tolist()
             oval(side * half, low + 0.50 * long, 0.17, 0.15 * long, (r, g, b))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from labelgen.synth.fittings import BLACK, TRIM, Style, plate
+from labelgen.synth.fittings import BLACK, TRIM, Style, gleam, pane, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
-from labelgen.synth.skin import Colour, Skin, dim
+from labelgen.synth.skin import Colour, Skin, dim, rounded
 
-__all__ = ["draw_bus", "draw_cargo"]
+__all__ = ["draw_bus", "draw_bus_rear", "draw_cargo"]
 
 _STEEL: Colour = (0.26, 0.26, 0.27)
 
@@ -18,7 +18,7 @@ _STEEL: Colour = (0.26, 0.26, 0.27)
 def _ink(rng: np.random.Generator) -> Colour:
     """Letters and bands: some colour, faded by sun and dust."""
     bright = rng.uniform(0.01, 0.6, 3) ** 1.3
-    red, green, blue = (0.6 * bright + 0.4 * bright.mean()).tolist()
+    red, green, blue = (0.4 * bright + 0.6 * bright.mean()).tolist()
     return red, green, blue
 
 
@@ -48,17 +48,17 @@ def draw_cargo(
         skin.line(Chart.SIDE, [(start, edge), (length, edge)], _STEEL, MATTE, 0.06)
         skin.line(Chart.REAR, [(-half, edge), (half, edge)], _STEEL, MATTE, 0.08)
     _back_doors(skin, half, low, high, seam)
-    red: Colour = (0.75, 0.03, 0.02) if lamps else (0.34, 0.008, 0.008)
+    red: Colour = (0.40, 0.03, 0.03) if lamps else (0.14, 0.015, 0.017)
     for side in (-1, 1):
         skin.rectangle(Chart.REAR, (side * 0.70, 0.46), (side * 1.14, 0.62), BLACK, MATTE)
         skin.rectangle(Chart.REAR, (side * 0.74, 0.49), (side * 0.98, 0.59), red, LIT if lamps else LAMP)
-        skin.rectangle(Chart.REAR, (side * 0.99, 0.49), (side * 1.11, 0.59), (0.5, 0.2, 0.02), LAMP)
+        skin.rectangle(Chart.REAR, (side * 0.99, 0.49), (side * 1.08, 0.57), (0.24, 0.12, 0.035), LAMP)
     if rng.random() < 0.6:  # reflecting strips along the edges
         for k, d in enumerate(np.arange(start, length, 0.3).tolist()):
             if k % 2:
-                skin.rectangle(Chart.SIDE, (d, low + 0.09), (d + 0.25, low + 0.13), (0.6, 0.25, 0.02), PAINT)
+                skin.rectangle(Chart.SIDE, (d, low + 0.09), (d + 0.25, low + 0.13), (0.34, 0.19, 0.06), PAINT)
         for z0, z1 in ((low + 0.1, low + 0.16), (high - 0.16, high - 0.1)):
-            skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.5, 0.04, 0.03), PAINT)
+            skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.24, 0.04, 0.035), PAINT)
     plate(skin, Chart.REAR, (0, 0.55), style.plate, rng)
 
 
@@ -98,41 +98,163 @@ def _back_doors(skin: Skin, half: float, low: float, high: float, seam: Colour) 
             skin.rectangle(Chart.REAR, (side * (half - 0.12), z), (side * half, z + 0.06), _STEEL, MATTE)
 
 
+_RUBBER: Colour = (0.014, 0.014, 0.015)
+_GRIME: Colour = (0.11, 0.105, 0.095)
+
+
 def draw_bus(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
-    """Doors, displays, stripes, panels, what stands on the roof, an advertisement."""
-    half, foot = shape.width / 2, shape.clearance
-    second = _ink(rng)
-    if rng.random() < 0.6:
-        skin.rectangle(Chart.SIDE, (0, foot + 0.1), (shape.length, foot + rng.uniform(0.3, 0.6)), second, PAINT)
-        skin.rectangle(Chart.REAR, (-half, foot + 0.1), (half, foot + 0.5), second, PAINT)
-    if rng.random() < 0.5:
-        low = (rng.uniform(3, 5), foot + 0.25)
-        skin.rectangle(Chart.SIDE, low, (low[0] + rng.uniform(2, 4), shape.belt - 0.05), _ink(rng), PAINT)
-        skin.rectangle(Chart.REAR, (-0.8 * half, 0.9), (0.8 * half, 1.5), _ink(rng), PAINT)
-    for axle in shape.axles:
-        skin.circle(Chart.SIDE, (axle, shape.wheel), 1.13 * shape.wheel, (0.005, 0.005, 0.005), MATTE)
+    """A bus's sides and roof, and the sign above its windscreen."""
+    foot = shape.clearance
+    grey = float(rng.uniform(0.05, 0.2))
+    skirt = dim(paint, rng.uniform(0.45, 0.8)) if rng.random() < 0.55 else (grey, grey, 1.03 * grey)
+    edge = foot + rng.uniform(0.22, 0.45)
+    skin.rectangle(Chart.SIDE, (0, foot + 0.03), (shape.length, edge), skirt, PAINT)
+    if rng.random() < 0.5:  # a band that rises to the rear
+        at, tall = rng.uniform(0.5, 0.75) * shape.length, rng.uniform(0.12, 0.3)
+        ring = [(0, edge), (at, edge), (at + 1.6, shape.belt), (at + 2.6, shape.belt), (at + 1.2, edge + tall)]
+        skin.polygon(Chart.SIDE, [*ring, (0, edge + tall)], _faded_ink(paint, rng), PAINT)
+    if rng.random() < 0.3:
+        low = (rng.uniform(3, 5), edge + 0.05)
+        skin.rectangle(
+            Chart.SIDE, low, (low[0] + rng.uniform(1.5, 3), shape.belt - 0.12), _faded_ink(paint, rng), PAINT
+        )
     for d in np.arange(1.2, shape.length - 0.5, 1.25).tolist():
-        skin.groove(Chart.SIDE, [(d, foot), (d, shape.belt)])
-        skin.line(Chart.SIDE, [(d, foot + 0.1), (d, shape.belt)], dim(paint, 0.6), PAINT)
+        skin.groove(Chart.SIDE, [(d, foot), (d, edge)], 0.006)
+        skin.line(Chart.SIDE, [(d, foot + 0.05), (d, edge)], dim(skirt, 0.7), PAINT)
+    for z in (edge, shape.belt - 0.1):
+        skin.groove(Chart.SIDE, [(0.1, z), (shape.length - 0.1, z)], 0.006)
+        skin.shadow(Chart.SIDE, [(0.1, z), (shape.length - 0.1, z)], 0.25, 0.03)
+    skin.fade(
+        Chart.SIDE, [(0, 0.1), (shape.length, 0.1), (shape.length, shape.belt), (0, shape.belt)], _GRIME, (0.0, 0.45)
+    )
+    _bus_glazing(skin, shape, paint, rng)
+    for axle in shape.axles:
+        for grow, tone in ((1.26, dim(skirt, 0.6)), (1.13, (0.005, 0.005, 0.005))):
+            skin.circle(Chart.SIDE, (axle, shape.wheel), grow * shape.wheel, tone, MATTE)
     for d in (0.35, 5.6):
-        skin.rectangle(Chart.SIDE, (d, foot + 0.12), (d + 1.15, shape.height - 0.45), BLACK, PAINT)
-        skin.rectangle(Chart.SIDE, (d + 0.06, foot + 0.2), (d + 0.54, shape.height - 0.52), style.glass, GLASS)
-        skin.rectangle(Chart.SIDE, (d + 0.62, foot + 0.2), (d + 1.09, shape.height - 0.52), style.glass, GLASS)
-    for chart in (Chart.FRONT, Chart.REAR):
-        wide = 0.75 if chart is Chart.FRONT else 0.4
-        z = shape.height - 0.42
-        skin.rectangle(chart, (-wide - 0.06, z), (wide + 0.06, z + 0.26), BLACK, GLASS)
-        for k in range(8):
-            left = -wide + 0.1 + k * (2 * wide - 0.2) / 8
-            skin.rectangle(chart, (left, z + 0.06), (left + 0.6 * wide / 8, z + 0.2), (0.75, 0.33, 0.03), LIT)
-    skin.rectangle(Chart.REAR, (-0.7 * half, 0.55), (0.7 * half, 0.85), dim(paint, 0.5), MATTE)
-    for z in np.arange(0.58, 0.85, 0.05).tolist():
-        skin.line(Chart.REAR, [(-0.65 * half, z), (0.65 * half, z)], BLACK, MATTE)
-    for d in np.arange(rng.uniform(1.5, 3), shape.length - 2, rng.uniform(2.2, 4.0)).tolist():
-        size = rng.uniform([0.7, 0.4], [2.0, 0.85])
-        ring = [(d, -size[1]), (d + size[0], -size[1]), (d + size[0], size[1]), (d, size[1])]
-        skin.polygon(Chart.TOP, ring, dim(paint, rng.uniform(0.5, 1.0)), MATTE)
-        skin.emboss(Chart.TOP, ring, 0.03)
-        for k in range(4):
-            at = d + (k + 0.5) * size[0] / 4
-            skin.line(Chart.TOP, [(at, -0.7 * size[1]), (at, 0.7 * size[1])], BLACK, MATTE, 0.03)
+        top = shape.height - 0.48
+        skin.rectangle(Chart.SIDE, (d, foot + 0.12), (d + 1.15, top + 0.05), _RUBBER, PAINT)
+        for left in (d + 0.06, d + 0.62):
+            ring = [(left, foot + 0.2), (left + 0.48, foot + 0.2), (left + 0.48, top), (left, top)]
+            skin.polygon(Chart.SIDE, ring, (0.02, 0.022, 0.023), GLASS)
+            skin.fade(Chart.SIDE, ring, (0.12, 0.135, 0.15), (0.5, 0.05))
+    _sign(skin, Chart.FRONT, 0.0, shape.height - 0.40, 0.66, rng)
+    _bus_roof(skin, shape, paint, rng)
+
+
+def _faded_ink(paint: Colour, rng: np.random.Generator) -> Colour:
+    """A colour for bands and letters that is not far from a bus's own."""
+    red, green, blue = (0.35 * np.array(_ink(rng)) + rng.uniform(0.25, 0.6) * np.array(paint)).tolist()
+    return red, green, blue
+
+
+def _bus_glazing(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator) -> None:
+    """A dark band of glass along the side: pillars, opening top lights, seats behind, sky on its upper part."""
+    low, high, end = shape.belt - 0.02, shape.height - 0.42, shape.length - rng.uniform(0.3, 1.0)
+    skin.rectangle(Chart.SIDE, (0.12, low), (end, high), _RUBBER, GLASS)
+    wide, pillar = rng.uniform(1.15, 1.7), rng.uniform(0.06, 0.13)
+    post: Colour = dim(paint, 0.8) if rng.random() < 0.35 else (0.03, 0.03, 0.031)
+    lights = low + 0.68 * (high - low) if rng.random() < 0.6 else None
+    tint = rng.uniform(0.014, 0.035)
+    for left in np.arange(0.2, end - 0.6, wide).tolist():
+        right = min(left + wide - pillar, end - 0.08)
+        tone = tint * rng.uniform(0.75, 1.35)
+        ring = [(left, low + 0.06), (right, low + 0.06), (right, high - 0.05), (left, high - 0.05)]
+        skin.polygon(Chart.SIDE, ring, (0.95 * tone, tone, 1.02 * tone), GLASS)
+        for seat in np.arange(left + 0.1, right - 0.35, 0.72).tolist():
+            back, shade = seat + 0.3, rng.uniform(0.5, 2.2) * tone
+            high_seat = low + rng.uniform(0.25, 0.4)
+            corners = [(seat, low + 0.06), (back, low + 0.06), (back - 0.05, high_seat), (seat + 0.05, high_seat)]
+            skin.polygon(Chart.SIDE, corners, (shade, shade, 1.1 * shade), GLASS)
+        skin.fade(Chart.SIDE, ring, (0.15, 0.165, 0.18), (rng.uniform(0.45, 0.7), 0.1))
+        skin.rectangle(Chart.SIDE, (right, low + 0.02), (right + pillar, high - 0.02), post, PAINT)
+        if lights is not None:
+            skin.line(Chart.SIDE, [(left, lights), (right, lights)], (0.05, 0.05, 0.05), MATTE, 0.035)
+    for z in (low, high):
+        skin.shadow(Chart.SIDE, [(0.1, z), (end, z)], 0.3, 0.04)
+
+
+def _bus_roof(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator) -> None:
+    """Dust, panels, an air conditioner's housing and hatches, which part from the roof by shading alone."""
+    half, length = shape.width / 2, shape.length
+    pale = float(rng.uniform(0.30, 0.5))
+    tone: Colour = dim(paint, 0.9) if rng.random() < 0.5 else (pale, pale, 0.99 * pale)
+    sheet = [(0.5, -half), (length, -half), (length, half), (0.5, half)]
+    skin.polygon(Chart.TOP, sheet, tone, MATTE)
+    skin.fade(Chart.TOP, sheet, _GRIME, (0.1, rng.uniform(0.2, 0.4)), level=True)
+    skin.bow(Chart.TOP, sheet, (0.0, 0.16))
+    for side in (-1, 1):
+        skin.shadow(Chart.TOP, [(0.5, side * 0.8 * half), (length, side * 0.8 * half)], 0.15, 0.08)
+    for d in np.arange(1.6, length - 0.5, rng.uniform(1.4, 2.2)).tolist():
+        skin.groove(Chart.TOP, [(d, -0.85 * half), (d, 0.85 * half)], 0.004)
+    start, long, wide = rng.uniform(0.25, 0.6) * length, rng.uniform(2.0, 3.4), rng.uniform(0.6, 0.8) * half
+    unit = [(start, -wide), (start + long, -wide), (start + long, wide), (start, wide)]
+    skin.polygon(Chart.TOP, rounded(unit, 0.06), dim(tone, rng.uniform(0.82, 1.1)), MATTE)
+    skin.emboss(Chart.TOP, rounded(unit, 0.06), 0.05, soft=True)
+    skin.shadow(Chart.TOP, [*unit, unit[0]], 0.25, 0.06)
+    for k in range(int(rng.integers(2, 5))):
+        at = start + (k + 0.5) * long / 4
+        skin.circle(Chart.TOP, (at, 0.45 * wide * (-1) ** k), 0.2, dim(tone, 0.62), MATTE)
+    for d in (0.12 * length, 0.85 * length):
+        hatch = [(d, -0.36), (d + 0.7, -0.36), (d + 0.7, 0.36), (d, 0.36)]
+        skin.polygon(Chart.TOP, rounded(hatch, 0.08), dim(tone, rng.uniform(0.75, 1.1)), MATTE)
+        skin.emboss(Chart.TOP, hatch, 0.02, soft=True)
+        skin.shadow(Chart.TOP, [*hatch, hatch[0]], 0.2, 0.04)
+
+
+def _sign(skin: Skin, chart: Chart, y: float, z: float, wide: float, rng: np.random.Generator) -> None:
+    """The line's number and where it goes: mostly off, and dim where it is on."""
+    skin.rectangle(chart, (y - wide, z), (y + wide, z + 0.20), (0.012, 0.012, 0.013), GLASS)
+    lit = rng.random() < 0.3
+    tone: Colour = dim((0.22, 0.125, 0.035), rng.uniform(0.6, 1.2)) if lit else (0.035, 0.033, 0.028)
+    for left in np.arange(y - 0.8 * wide, y + 0.75 * wide, 0.13).tolist():
+        if rng.random() < 0.8:
+            low = z + rng.uniform(0.05, 0.08)
+            skin.rectangle(chart, (left, low), (left + 0.07, low + 0.08), tone, LIT if lit else GLASS)
+
+
+def draw_bus_rear(
+    skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, *, lamps: bool
+) -> None:
+    """A bus from behind: window, sign, engine cover, stacked lamps, bumper and plate."""
+    half, high, braking = shape.width / 2, shape.height, bool(rng.random() < 0.2)
+    bumper = shape.clearance + rng.uniform(0.28, 0.4)
+    if rng.random() < 0.5:  # a lower part in a tone of its own
+        skin.rectangle(Chart.REAR, (-half, 0), (half, rng.uniform(0.9, 1.3)), _faded_ink(paint, rng), PAINT)
+    skin.rectangle(Chart.REAR, (-half, 0), (half, bumper), dim(paint, 0.4) if rng.random() < 0.5 else TRIM, MATTE)
+    skin.groove(Chart.REAR, [(-half, bumper), (half, bumper)])
+    skin.shadow(Chart.REAR, [(-half, bumper), (half, bumper)], 0.4, 0.05)
+    low, top = rng.uniform(1.65, 1.95), high - rng.uniform(0.55, 0.75)
+    ring = [(-0.80 * half, low), (0.80 * half, low), (0.74 * half, top), (-0.74 * half, top)]
+    inner = pane(skin, Chart.REAR, ring, style.rear_glass)
+    for y in np.linspace(-0.55, 0.55, 5).tolist():  # the last row of seats
+        tone = rng.uniform(0.015, 0.05)
+        back = [(y * half - 0.17, low + 0.08), (y * half + 0.17, low + 0.08), (y * half + 0.13, low + 0.3)]
+        skin.polygon(Chart.REAR, [*back, (y * half - 0.13, low + 0.3)], (tone, tone, 1.1 * tone), GLASS)
+    gleam(skin, Chart.REAR, inner, rng, 0.6)
+    if rng.random() < 0.5:
+        _sign(skin, Chart.REAR, rng.uniform(-0.3, 0.3), top + 0.08, 0.3, rng)
+    for z in (low - 0.1, 0.5 * (bumper + low) - 0.1):  # the cover's and the lid's gaps
+        skin.line(Chart.REAR, [(-0.8 * half, z), (0.8 * half, z)], dim(paint, 0.6), PAINT)
+        skin.groove(Chart.REAR, [(-0.8 * half, z), (0.8 * half, z)], 0.006)
+    vent = (-rng.uniform(0.3, 0.6) * half, bumper + 0.25)
+    skin.rectangle(Chart.REAR, vent, (-vent[0], vent[1] + 0.28), dim(paint, 0.4), MATTE)
+    for z in np.arange(vent[1] + 0.03, vent[1] + 0.27, 0.06).tolist():
+        skin.line(Chart.REAR, [(vent[0], z), (-vent[0], z)], dim(paint, 0.22), MATTE, 0.02)
+    red: Colour = (0.11, 0.016, 0.018)
+    for side in (-1, 1):
+        y = side * 0.86 * half
+        well = [
+            (y - 0.10, bumper + 0.08),
+            (y + 0.10, bumper + 0.08),
+            (y + 0.10, bumper + 0.62),
+            (y - 0.10, bumper + 0.62),
+        ]
+        skin.polygon(Chart.REAR, rounded(well, 0.08), TRIM, MATTE)
+        for k, plain in enumerate((red, (0.20, 0.10, 0.03), red)):
+            shines = (k == 0 and (braking or lamps)) or (k == 2 and braking)
+            colour: Colour = (0.42, 0.035, 0.045) if shines else plain
+            skin.circle(Chart.REAR, (y, bumper + 0.17 + 0.18 * k), 0.075, colour, LIT if shines else LAMP)
+        skin.rectangle(Chart.REAR, (y - 0.07, high - 0.3), (y + 0.07, high - 0.26), red, LAMP)
+    skin.fade(Chart.REAR, [(-half, 0), (half, 0), (half, low), (-half, low)], _GRIME, (0.0, 0.4))
+    plate(skin, Chart.REAR, (0, bumper + 0.1), style.plate, rng)

@@ -47,16 +47,27 @@ def motorcycle_mesh(shape: Shape) -> Mesh:
 
 
 def _clothes(rng: np.random.Generator) -> Colour:
-    if rng.random() < 0.6:
-        level = rng.uniform(0.01, 0.06)
-        return level, level, level * 1.1
-    red, green, blue = rng.uniform(0.02, 0.5, 3).tolist()
+    """Mostly black and grey, some navy, rarely another colour, and then a muted one."""
+    level, kind = float(np.exp(rng.uniform(np.log(0.010), np.log(0.09)))), rng.random()
+    if kind < 0.72:
+        return level, level, level * 1.05
+    if kind < 0.93:
+        return 0.65 * level, 0.8 * level, 1.15 * level
+    red, green, blue = (level + 0.22 * (rng.uniform(0.02, 0.3, 3) - level)).tolist()
     return red, green, blue
+
+
+def _helmet(rng: np.random.Generator) -> Colour:
+    kind, bright = rng.random(), rng.uniform(0.8, 1.15)
+    grey = (0.012, 0.10, 0.50)[0 if kind < 0.5 else 1 if kind < 0.7 else 2] * bright
+    if kind > 0.93:
+        return 0.14 * bright, 0.03, 0.03
+    return grey, grey, 1.03 * grey
 
 
 def draw_motorcycle(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator, *, lamps: bool) -> None:
     """Paint bike, rider, lamps and plate on an empty skin."""
-    jacket, helmet = _clothes(rng), _clothes(rng)
+    jacket, helmet = _clothes(rng), _helmet(rng)
     legs: Colour = ((0.012, 0.012, 0.014), (0.03, 0.045, 0.10), (0.10, 0.09, 0.07))[int(rng.integers(3))]
     h = shape.height / 1.66
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
@@ -82,7 +93,7 @@ def draw_motorcycle(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Gene
         skin.rectangle(chart, (-0.3, 1.36 * h), (0.3, 1.7 * h), helmet, PAINT)
     skin.rectangle(Chart.FRONT, (-0.1, 1.43 * h), (0.1, 1.54 * h), _DARK, GLASS)
     skin.circle(Chart.FRONT, (0, 0.80 * h), 0.10, (0.9, 0.88, 0.8), LIT if lamps else LAMP)
-    skin.rectangle(Chart.REAR, (-0.08, 0.76 * h), (0.08, 0.83 * h), (0.4, 0.01, 0.01), LIT if lamps else LAMP)
+    skin.rectangle(Chart.REAR, (-0.08, 0.76 * h), (0.08, 0.83 * h), (0.17, 0.014, 0.016), LIT if lamps else LAMP)
     skin.rectangle(Chart.REAR, (-0.1, 0.56), (0.1, 0.74), (0.55, 0.55, 0.52), PLATE)
     for axle in shape.axles:
         skin.circle(Chart.WHEEL, (axle, shape.wheel), 0.7 * shape.wheel, (0.1, 0.1, 0.1), CHROME)

@@ -9,8 +9,8 @@ import numpy as np
 
 from labelgen.synth.bodies import cabin_edge, shell_end, top_line
 from labelgen.synth.faces import draw_front, draw_rear
-from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, draw_wheels, pane, passengers, sample_style
-from labelgen.synth.freight import draw_bus, draw_cargo
+from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, draw_wheels, gleam, pane, passengers, sample_style
+from labelgen.synth.freight import draw_bus, draw_bus_rear, draw_cargo
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import CHROME, GLASS, LAMP, MATTE, PAINT
 from labelgen.synth.shapes import Shape
@@ -44,7 +44,10 @@ def draw_skin(
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_front(skin, shape, paint, style, rng, lamps)
-    draw_rear(skin, shape, paint, style, rng, lamps)
+    if shape.kind == "bus":
+        draw_bus_rear(skin, shape, paint, style, rng, lamps=lamps)
+    else:
+        draw_rear(skin, shape, paint, style, rng, lamps)
     draw_wheels(skin, shape, rng)
     if shape.kind == "bus":
         draw_bus(skin, shape, paint, style, rng)
@@ -72,7 +75,8 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
             skin.rectangle(Chart.SIDE, (low, 0), (high, shape.nose - 0.28), TRIM, MATTE)
     if rng.random() < 0.2:
         skin.rectangle(Chart.SIDE, (0.8, waist - 0.2), (end - 0.8, waist - 0.14), TRIM, MATTE)
-    _side_windows(skin, shape, paint, style, rng)
+    if shape.kind != "bus":
+        _side_windows(skin, shape, paint, style, rng)
     arch = 1.13 * shape.wheel
     for axle in shape.axles:
         grow = 1.35 if style.cladding > 0.1 else 1.12
@@ -125,11 +129,21 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
     skin.polygon(Chart.SIDE, within, dim(style.glass, 2.2), GLASS)
     for p in pillars:
         skin.rectangle(Chart.SIDE, (p - 0.05, sill), (p + 0.05, shape.height), BLACK, PAINT)
+    seats = [(low, sill + 0.012), *((p + dp, sill + dz) for p in _seats(low, high) for dp, dz in _HEAD_REST)]
+    skin.polygon(Chart.SIDE, [*seats, (high, sill + 0.012)], dim(style.glass, 0.5), GLASS)
+    gleam(skin, Chart.SIDE, outline, rng)
     # The band of roof above the windows.
     band = np.concatenate([np.stack([d, z + 0.02], 1), np.stack([d, z - frame], 1)[::-1]])
     skin.polygon(Chart.SIDE, band, paint, PAINT)
-    if shape.kind != "bus":
-        _doors(skin, shape, paint, (low, high), pillars, rng)
+    _doors(skin, shape, paint, (low, high), pillars, rng)
+
+
+_HEAD_REST = ((-0.12, 0.03), (-0.10, 0.16), (-0.08, 0.24), (0.08, 0.24), (0.10, 0.16), (0.14, 0.03))
+
+
+def _seats(low: float, high: float) -> list[float]:
+    """Where seats stand behind side windows."""
+    return np.arange(low + 0.75, high - 0.15, 0.85).tolist()
 
 
 def _doors(
@@ -174,12 +188,14 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     crown = [(roof[0], -edge), (roof[1], -edge), (roof[1], edge), (roof[0], edge)]
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         skin.bow(Chart.TOP, crown, (0.05, rng.uniform(0.22, 0.4)))
-    _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
+    screen = _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
     passengers(skin, Chart.TOP, (shape.cowl[0] + 0.08, shape.roof_front[0] - 0.08), 0.62 * half, rng)
+    gleam(skin, Chart.TOP, screen, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
-        _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
+        screen = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
         span = (shape.rear_window[0] - 0.1, shape.roof_rear[0] + 0.05)
         passengers(skin, Chart.TOP, span, 0.66 * half, rng, rear=True)
+        gleam(skin, Chart.TOP, screen, rng)
     if shape.cowl[0] > 0.6:
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
@@ -210,8 +226,8 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
 
 def _top_pane(
     skin: Skin, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
-) -> None:
-    """A wind or rear screen as far as it lies flat enough to be seen from above."""
+) -> Any:
+    """A wind or rear screen as far as it lies flat enough to be seen from above; returns its outline, foot first."""
     half = shape.width / 2
     edge = [cabin_edge(shape, half, z) - 0.05 for _, z in (near, far)]
     d0, d1 = near[0] + gap * (far[0] - near[0]), far[0] - 0.06 * (far[0] - near[0])
@@ -221,7 +237,9 @@ def _top_pane(
     out = np.sign(d0 - d1) * (1 - across**2)
     lower = np.stack([d0 + 0.08 * out, y0 * across], axis=1)
     upper = np.stack([d1 + 0.025 * out, y1 * across], axis=1)[::-1]
-    pane(skin, Chart.TOP, np.concatenate([lower, upper]), glass)
+    ring = np.concatenate([lower, upper])
+    pane(skin, Chart.TOP, ring, glass)
+    return ring
 
 
 def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:

@@ -96,6 +96,28 @@ class Skin:
         thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, _texel(colour, material), thick, cv2.LINE_8, 4)
 
+    def fade(self, chart: Chart, points: Any, colour: Colour, shares: Sequence[float], *, level: bool = False) -> None:
+        """Mix a colour into what is painted within a polygon: reflections on glass, dust on panels.
+
+        Args:
+            chart: drawing.
+            points: as for `polygon`.
+            colour: mixed in.
+            shares: 0 to 1, of that colour at the drawing's top, and at its foot; it runs evenly between.
+            level: from left to right rather than from top to foot.
+        """
+        rows = self._rows(chart)
+        mask = np.zeros(self._dark[rows].shape, dtype=np.uint8)
+        cv2.fillPoly(mask, [self._pixels(chart, points)], 255, cv2.LINE_8, 4)
+        x, y, w, h = cv2.boundingRect(mask)
+        if not w or not h:
+            return
+        view = self._colours[rows][y : y + h, x : x + w]
+        ramp = np.linspace(shares[0], shares[1], w if level else h, dtype=np.float32)
+        share = np.where(mask[y : y + h, x : x + w] > 0, ramp[None] if level else ramp[:, None], 0)[..., None]
+        into = np.array(_texel(colour, 0)[:3], dtype=np.float32)
+        view[..., :3] = (view[..., :3] + share * (into - view[..., :3])).round()
+
     def emboss(self, chart: Chart, points: Any, height: float, *, soft: bool = False) -> None:
         """Raise a polygon by so many metres; softly: over a wide edge."""
         view = self._relief[soft][self._rows(chart)]

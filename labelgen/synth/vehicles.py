@@ -27,7 +27,7 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.14, 0.145, 0.15), 0.6, 0.19),
     ((0.018, 0.018, 0.020), 0.3, 0.20),
-    ((0.026, 0.036, 0.078), 0.5, 0.06),
+    ((0.027, 0.043, 0.070), 0.5, 0.06),
     ((0.12, 0.17, 0.25), 0.6, 0.03),
     ((0.22, 0.026, 0.026), 0.2, 0.03),
     ((0.095, 0.016, 0.018), 0.5, 0.02),
@@ -35,6 +35,17 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.21, 0.19, 0.155), 0.6, 0.025),
     ((0.46, 0.27, 0.06), 0.1, 0.005),
     ((0.50, 0.42, 0.12), 0.0, 0.005),
+)
+
+# Liveries of buses, faded: white, silver, teal, grey, yellow, a dull red, a dull blue.
+_BUS_PAINTS: tuple[tuple[tuple[float, float, float], float], ...] = (
+    ((0.58, 0.585, 0.57), 0.36),
+    ((0.34, 0.35, 0.355), 0.18),
+    ((0.20, 0.33, 0.33), 0.14),
+    ((0.16, 0.165, 0.17), 0.08),
+    ((0.44, 0.34, 0.13), 0.12),
+    ((0.17, 0.075, 0.066), 0.05),
+    ((0.11, 0.16, 0.24), 0.06),
 )
 
 _CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.10, 0.12, 0.18), (0.21, 0.08, 0.07), (0.11, 0.14, 0.12))
@@ -143,6 +154,11 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
     check_kinds([kind])
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
         colour, metal = (0.68, 0.68, 0.67), 0.0
+    if kind == "bus":
+        shares = np.array([share for _, share in _BUS_PAINTS])
+        faded = _BUS_PAINTS[int(rng.choice(len(_BUS_PAINTS), p=shares / shares.sum()))][0]
+        red, green, blue = (np.array(faded) * rng.uniform(0.85, 1.1)).tolist()
+        colour, metal = (red, green, blue), 0.0
     shape = sample_shape(kind, rng)
     mesh = motorcycle_mesh(shape) if kind == "motorcycle" else body_mesh(shape)
     return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
