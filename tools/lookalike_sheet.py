@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Annotated, Any
+from zlib import crc32
 
 import typer
 
@@ -90,7 +91,8 @@ def main(
 
     tiles = [(crop, "real") for crop in vehicle_crops(real, count, seed, min_px)]
     tiles += [(crop, "synthetic") for crop in vehicle_crops(synthetic, count, seed, min_px)]
-    rng = np.random.default_rng([seed, 9])
+    # Sheets of several videos with one seed are not to have the same order.
+    rng = np.random.default_rng([seed, 9, crc32(real.name.encode())])
     order = rng.permutation(len(tiles))
     side, across = 300, 5
     sheet = np.full((-(-len(tiles) // across) * side, across * side, 3), 40, dtype=np.uint8)
