@@ -39,11 +39,11 @@ __all__ = [
 
 _TURNS = 2 * np.pi * np.arange(24) / 24
 _DIRECTIONS = np.stack([np.cos(_TURNS), np.sin(_TURNS)])
-# Downwards a silhouette holds some of the shadow beneath the vehicle, and on the whole it is a little larger or
-# smaller than the vehicle: mean and standard deviation of both, in shares of its size. The first mean is that of
-# background masks on rendered sessions.
-_BEYOND = np.stack([np.maximum(_DIRECTIONS[1], 0), np.ones(len(_TURNS))], axis=1)
-_SHADOW, _SWELL = (0.022, 0.04), (0.003, 0.01)
+# At its lowest point a silhouette holds some of the shadow beneath the vehicle, not at its lower corners, and on the
+# whole it is a little larger or smaller than the vehicle: mean and standard deviation of both, in shares of its size.
+# The first mean is that of background masks on rendered sessions.
+_BEYOND = np.stack([np.maximum(_DIRECTIONS[1], 0) ** 20, np.ones(len(_TURNS))], axis=1)
+_SHADOW, _SWELL = (0.035, 0.04), (0.003, 0.01)
 # An outline's error: this much of the frame's width, and this share of the silhouette's size.
 _ERROR_FRAME, _ERROR_SHARE = 1.6e-3, 0.02
 # Neighbouring directions err together: so many of them are worth one measurement each.

@@ -16,6 +16,7 @@ from labelgen.calibrate.travel import (
     Travel,
     find_travel,
     group_vehicles,
+    outer_tracks,
     refine_travel,
     track_lines,
 )
@@ -29,6 +30,8 @@ _UNIT_WIDTHS = 1.2
 _SHORTEST_SHARE = 0.04
 _LONGEST_SCATTER = 0.03
 _LEAST_DEPTH = 0.03
+# So many tracks at the sides of vehicles make those in their middle superfluous, which err together.
+_FEWEST_OUTER, _INNER_WORTH = 40, 0.02
 _RESAMPLES = 12
 _BLOCK_S = 3.0
 _RESAMPLED_EDGES = 4000
@@ -105,6 +108,9 @@ def estimate_orientation(
     weights: Array = np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5
     count = _weighty(vehicles, lines)
     check_camera(name, seen, len(lines), count)
+    outer = outer_tracks(lines, first.direction, vehicles)
+    if np.count_nonzero(outer) >= _FEWEST_OUTER:
+        weights = weights * np.where(outer, 1.0, _INNER_WORTH)
     travel = refine_travel(lines, first.direction, vehicles, weights)
     importance = weights * lines.length
     along_share = float(np.average(travel.explained, weights=importance))

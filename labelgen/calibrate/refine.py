@@ -1,10 +1,10 @@
 """VP1, tilt and focal length once more, from vehicles that keep their size while they drive.
 
-Features slide over a vehicle's body while it turns in view, all to the same side: VP1 from tracks alone lies up to a
-degree beside the true one, and mostly too low. Silhouettes of one vehicle at several distances do not share that
-error: the camera must make them one rigid body on the road. So models are laid over them (`model_fit`), each vehicle
-with one size, and the camera is moved to where the outlines fit best, together with what tracks and edges say: a
-bundle adjustment whose points are vehicles. What silhouettes say about the focal length and the tilt by themselves is
+Features slide over a vehicle's body while it turns in view: VP1 from tracks alone is mostly too low, by less where
+those at the vehicles' sides are taken (`travel.outer_tracks`). Silhouettes of one vehicle at several distances do not
+share that error: the camera must make them one rigid body on the road. So models are laid over them (`model_fit`), each
+vehicle with one size, and the camera is moved to where the outlines fit best, together with what tracks and edges say:
+a bundle adjustment whose points are vehicles. What silhouettes say about the focal length and the tilt by themselves is
 biased by forms that no model has, so little of it is believed; on both, the edges decide, whose answer moves with VP1.
 
 Source: this project's. The constants are from rendered sessions, see docs/calibration.md.
@@ -45,14 +45,15 @@ __all__ = ["refine_orientation"]
 _SMALLEST, _MOST = 0.02, 300
 _FEWEST_VEHICLES = 5
 # Standard deviation of VP1 from tracks, in units (nearly rad), whatever its spread over resamples says.
-_TRACKS_SD = 20 / 2304
+_TRACKS_SD = 10 / 2304
 # What silhouettes say is worth this share, for errors of neighbouring ones are alike, and no better than this: VP1's x
 # and y in units, the focal length's logarithm, the tilt in rad. Seen obliquely, models err on the focal length by so
 # much per tangent of the angle between the road and the camera's axis.
 _TEMPER = 0.25
 _SILHOUETTES_SD = np.array([10 / 2304, 8 / 2304, 0.025, 0.018])
-_OBLIQUE_FOCAL_SD = 0.2
-_EDGES_SD = np.array([0.005, 0.0017])
+_OBLIQUE_FOCAL_SD = 0.1
+# What edges say is no better than this either: the focal length's logarithm, the tilt in rad.
+_EDGES_SD = np.array([0.02, 0.0017])
 # A silhouette that misses its model by this much is not of one vehicle, or not whole.
 _HOPELESS = 6.0
 _LEAST_SHARE = 0.02

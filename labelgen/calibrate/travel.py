@@ -27,6 +27,7 @@ __all__ = [
     "Travel",
     "find_travel",
     "group_vehicles",
+    "outer_tracks",
     "planes_of",
     "refine_travel",
     "sideways",
@@ -45,6 +46,9 @@ _TUKEY = 3.0
 _LONG = 0.25
 # Features of one vehicle are linked over gaps of this share of their depth below the horizon: of the camera's height.
 _REACH = 0.15
+# Features in the middle of a vehicle are reflections and highlights as often as not, which slide over it while it comes
+# nearer: of a vehicle with so many features, those in this share at either side count.
+_FEATURES, _OUTER_SHARE = 4, 0.15
 # Within this deviation a track counts as going along the road: lanes merge, and drivers change them.
 _EXPLAINED_DEG = 5.0
 
@@ -248,6 +252,32 @@ def group_vehicles(tracks: Sequence[Track], horizon_px: float, least_px: float) 
         alive = np.append(alive, i)
     roots = np.array([root(i) for i in range(len(tracks))], dtype=np.int64)
     return np.unique(roots, return_inverse=True)[1]
+
+
+def outer_tracks(lines: TrackLines, vp1: Array, vehicles: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(N,) which tracks are at the sides of their vehicles, seen along the road: what is there does not slide.
+
+    Corners of bodies, tyres and lamps keep their places; what the bonnet and the windscreen mirror, and the outlines of
+    round forms, do not, and all of these make vehicles look as if they drove to a point below the horizon.
+
+    Args:
+        lines: N tracks.
+        vp1: (3,) direction, rough.
+        vehicles: (N,) number of each track's vehicle; one with fewer than 4 has no sides.
+    """
+    v = vp1 / np.linalg.norm(vp1)
+    along = sideways(v)
+    normals = np.cross(homogeneous(lines.centre), v)
+    turn = np.arctan2(normals @ along, normals @ np.cross(v, along))
+    _, first, counts = np.unique(vehicles, return_index=True, return_counts=True)
+    # Within a vehicle, so that no turn is cut in two.
+    turn = (turn - turn[first][vehicles] + np.pi) % (2 * np.pi) - np.pi
+    order = np.lexsort((turn, vehicles))
+    rank = np.empty(len(lines))
+    rank[order] = np.arange(len(lines)) - np.repeat(np.cumsum(counts) - counts, counts)
+    count = counts[vehicles]
+    share = rank / np.maximum(count - 1, 1)
+    return np.asarray((count >= _FEATURES) & (np.minimum(share, 1 - share) <= _OUTER_SHARE))
 
 
 def _timely(track: Track) -> Array:
