@@ -18,9 +18,9 @@ __all__ = ["Blob", "BlobCollector", "mask_blobs"]
 
 _WIDTH = 640
 _PERIOD_S = 0.3
-# Once so many blobs are there, as many as the fits use, only every other stretch of this many seconds is looked at,
-# and then every fourth. Within a stretch all looks count, for vehicles must be seen several times.
-_PLENTY, _STRETCH_S = (300, 900), 4.0
+# Once so many blobs are there, nearly as many as the fits use, only every other stretch of this many seconds is looked
+# at, and then every fourth. Within a stretch all looks count, for vehicles must be seen several times.
+_PLENTY, _STRETCH_S = (200, 600), 4.0
 # Light changes slowly.
 _FOLLOW_S = 1.5
 _PRIME_FRAMES = 64

@@ -79,6 +79,7 @@ class FeatureTracker:
         self.moving: Grey | None = None
         self._factor, self._shortest, self._most = factor, shortest_px, most
         self._previous: Grey | None = None
+        self._previous_smooth: Grey
         self._live: list[_Live]
         # Of each the latest points, the first one again where there are fewer, and how many there are.
         self._recent: NDArray[np.float32]
@@ -89,14 +90,15 @@ class FeatureTracker:
 
     def see(self, grey: Grey, time_s: float) -> None:
         """Take the next frame, (h, w) uint8, of the small size."""
+        smooth = np.asarray(cv2.blur(grey, (3, 3)), dtype=np.uint8)
         if self._previous is not None:
             if self._live:
                 self._follow(grey, time_s)
-            difference = cv2.absdiff(cv2.blur(grey, (3, 3)), cv2.blur(self._previous, (3, 3)))
+            difference = cv2.absdiff(smooth, self._previous_smooth)
             self.moving = np.asarray(difference > _MOVED_LEVELS, dtype=np.uint8)
             if self._frames % _SEED_EVERY == 0 and len(self._live) < _MAX_FEATURES:
                 self._seed(grey, time_s)
-        self._previous = grey
+        self._previous, self._previous_smooth = grey, smooth
         self._frames += 1
 
     def pause(self) -> None:
@@ -227,13 +229,13 @@ class CameraShake:
         self._looks += 1
 
     def _spread(self, grey: Grey) -> list[NDArray[np.float32]]:
-        """Up to two corners from each field of a grid, so that no textured corner of the picture outvotes the rest."""
+        """A corner from each field of a grid, so that no textured part of the picture outvotes the rest."""
         h, w = (n // self._GRID for n in grey.shape)
         found = []
         for row in range(self._GRID):
             for column in range(self._GRID):
                 part = grey[row * h : (row + 1) * h, column * w : (column + 1) * w]
-                corners = cv2.goodFeaturesToTrack(part, 2, 0.1, 10, blockSize=5)
+                corners = cv2.goodFeaturesToTrack(part, 1, 0.1, 10, blockSize=5)
                 if corners is not None and part.std() > 3:
                     found.append(np.asarray(corners + np.array([column * w, row * h]), dtype=np.float32))
         return found

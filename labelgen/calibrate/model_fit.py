@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,6 +37,8 @@ __all__ = [
     "residuals",
     "with_priors",
 ]
+
+Floats = NDArray[np.floating[Any]]
 
 _TURNS = 2 * np.pi * np.arange(24) / 24
 _DIRECTIONS = np.stack([np.cos(_TURNS), np.sin(_TURNS)])
@@ -288,8 +291,8 @@ def residuals(unit: Camera, seen: Silhouettes, hypotheses: Hypotheses, fit: Fit)
     stretch = np.exp(shape[:, :1] + shape[:, 1:4])
     points = hypotheses.points[fit.hypothesis[fit.pair]]
     # Single precision finds the same points, give or take a hair, in half the time.
-    pixels = np.swapaxes(_pixels(unit, points, stretch, fit.place)[0].astype(np.float32), -1, -2)
-    farthest = (_DIRECTIONS.T.astype(np.float32) @ pixels).argmax(axis=-1)
+    pixels = _pixels(unit, *(part.astype(np.float32) for part in (points, stretch, fit.place)))[0]
+    farthest = (_DIRECTIONS.T.astype(np.float32) @ np.swapaxes(pixels, -1, -2)).argmax(axis=-1)
     outline = np.take_along_axis(points, farthest[..., None], axis=1)
     sizes = seen.sizes[fit.silhouette]
     error = np.hypot(_ERROR_FRAME * unit.image_wh[0], _ERROR_SHARE * sizes)
@@ -309,13 +312,18 @@ def reach_by(unit: Camera, outline: Array, fit: Fit) -> Array:
     return np.asarray(np.einsum("rmi,im->rm", pixels, _DIRECTIONS))
 
 
-def _pixels(unit: Camera, points: Array, stretch: Array, place: Array) -> tuple[Array, Array, Array]:
-    """Points (R, V, 3) m in the image (R, V, 2) px, at the camera and on the road (R, V, 3) units."""
+def _pixels(unit: Camera, points: Floats, stretch: Floats, place: Floats) -> tuple[Floats, Floats, Floats]:
+    """Points (R, V, 3) m in the image (R, V, 2) px, at the camera and on the road (R, V, 3) units.
+
+    All in the precision of the points.
+    """
     own = points * stretch[:, None]
-    places = own + np.concatenate([place, np.full((len(place), 1), -unit.height_m)], axis=1)[:, None]
-    seen = places @ unit.axes
-    seen[..., 2] = np.maximum(seen[..., 2], 1e-6 * unit.focal)
-    return unit.pp + unit.focal * seen[..., :2] / seen[..., 2:], seen, own
+    height = np.full((len(place), 1), -unit.height_m, dtype=place.dtype)
+    places = own + np.concatenate([place, height], axis=1)[:, None]
+    seen = places @ unit.axes.astype(points.dtype)
+    seen[..., 2] = np.maximum(seen[..., 2], points.dtype.type(1e-6 * unit.focal))
+    pixels = seen[..., :2] * (points.dtype.type(unit.focal) / seen[..., 2:])
+    return pixels + unit.pp.astype(points.dtype), seen, own
 
 
 def _support(unit: Camera, outline: Array, stretch: Array, place: Array) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ _LOOK_S = 0.4
 # Once so many tracks and edges are there, only every other stretch of this many seconds is worked on, and then every
 # fourth: more of the same traffic tells little, and other traffic tells more.
 _STRETCH_S = 3.0
-_PLENTY = ((700, 4000), (2500, 15000))
+_PLENTY = ((250, 2000), (1000, 8000))
 _FIRST_CHECK_S = 30.0
 
 
@@ -156,10 +156,7 @@ class _Watch:
         return 1 << sum(tracks >= t and edges >= e for t, e in _PLENTY)
 
     def take(self, frame: Frame, time_s: float) -> None:
-        grey = frame.grey
-        small = grey
-        if self._factor > 1:
-            small = np.asarray(cv2.resize(grey, self._small_wh, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        small = frame.small_grey(self._factor)
         if time_s - self._taken_s > 2.5 / _TRACK_FPS:
             self._tracker.pause()
         self._taken_s = time_s
@@ -171,7 +168,7 @@ class _Watch:
             return  # right after a pause nothing is known to move yet: the next frame will do
         self._looked_s = time_s
         self._shake.see(small)
-        self._edges.see(grey, moving, time_s)
+        self._edges.see(frame.grey, moving, time_s)
         self._backdrop.look(frame.image)
         if self._collectors:
             rgb = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_BGR2RGB), dtype=np.uint8)

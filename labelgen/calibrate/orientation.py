@@ -34,7 +34,7 @@ _LEAST_DEPTH = 0.03
 _FEWEST_OUTER, _INNER_WORTH = 40, 0.02
 _RESAMPLES = 12
 _BLOCK_S = 3.0
-_RESAMPLED_EDGES = 4000
+_RESAMPLED_EDGES = 2500
 # Edges of one vehicle are seen again and again; so many of them are worth as much as independent ones would be.
 _EDGES_PER_VEHICLE = 20
 # A vanishing point farther away than this, px, is brought this near by turning the camera by less than it is known.

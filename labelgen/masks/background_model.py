@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -167,7 +168,7 @@ class BackgroundModel:
         assert self._edges is not None
         assert self.background is not None
         here = _edges(image.astype(np.float32))
-        window = cv2.createHanningWindow((here.shape[1], here.shape[0]), cv2.CV_32F)
+        window = _hanning_window(here.shape[1], here.shape[0])
         # OpenCV multiplies what it is given by the window, in place, where the size suits its Fourier transform.
         (dx, dy), response = cv2.phaseCorrelate(here, self._edges.copy(), window)
         low, high = _SHIFT_RANGE
@@ -310,6 +311,11 @@ def is_ghost(mask: BoolMask, image: Image, background: Plane) -> bool:
     for picture in (image, background):
         strengths.append(slope(lightness(np.asarray(picture, dtype=np.float32)))[rim].mean())
     return bool(strengths[1] > 1.5 * strengths[0])
+
+
+@lru_cache(maxsize=4)
+def _hanning_window(width: int, height: int) -> Plane:
+    return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), dtype=np.float32)
 
 
 def _edges(picture: Plane) -> Plane:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 
-__all__ = ["Frame", "FrameSource", "SparseSource", "always", "grey_of", "open_frames", "sparse_frames"]
+__all__ = ["Frame", "FrameSource", "SparseSource", "always", "grey_of", "open_frames", "shrunk", "sparse_frames"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,18 @@ class Frame:
     def grey(self) -> NDArray[np.uint8]:
         """(H, W) uint8, the image without its colours."""
         return grey_of(self.image)
+
+    def small_grey(self, factor: int) -> NDArray[np.uint8]:
+        """(H // factor, W // factor) uint8 greys, each the mean of the pixels it stands for."""
+        return shrunk(self.grey, factor)
+
+
+def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """A picture (H, W[, C]) uint8 at (H // factor, W // factor), each pixel the mean of those it stands for."""
+    if factor == 1:
+        return picture
+    size = tuple(max(1, n // factor) for n in picture.shape[1::-1])
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

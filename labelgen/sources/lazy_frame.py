@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.sources.frames import Frame, grey_of
+from labelgen.sources.frames import Frame, grey_of, shrunk
 
 __all__ = ["LazyFrame"]
 
@@ -21,7 +21,8 @@ class LazyFrame(Frame):
     Args:
         number, time_s: as in `Frame`.
         convert: gives the picture, (H, W, 3) uint8 BGR.
-        take_greys: gives its greys, (H, W) uint8; None where they must be made from the colours.
+        take_greys: gives its greys at a factor, (H // factor, W // factor) uint8; None where they must be made from the
+            colours.
     """
 
     def __init__(
@@ -29,7 +30,7 @@ class LazyFrame(Frame):
         number: int,
         time_s: float,
         convert: Callable[[], Picture],
-        take_greys: Callable[[], Picture | None],
+        take_greys: Callable[[int], Picture | None],
     ) -> None:
         # What `Frame` is made of is frozen.
         self.__dict__.update(number=number, time_s=time_s, name="", _convert=convert, _take_greys=take_greys)
@@ -43,5 +44,10 @@ class LazyFrame(Frame):
     @cached_property
     def grey(self) -> Picture:
         """(H, W) uint8, the image without its colours."""
-        greys: Picture | None = self.__dict__["_take_greys"]()
+        greys: Picture | None = self.__dict__["_take_greys"](1)
         return grey_of(self.image) if greys is None else greys
+
+    def small_grey(self, factor: int) -> Picture:
+        """(H // factor, W // factor) uint8 greys; the frame is not gone through at full size for them."""
+        greys: Picture | None = self.__dict__["_take_greys"](factor)
+        return shrunk(self.grey, factor) if greys is None else greys

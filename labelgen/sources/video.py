@@ -19,7 +19,7 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.sources.frames import Frame, always
+from labelgen.sources.frames import Frame, always, shrunk
 from labelgen.sources.lazy_frame import LazyFrame
 from labelgen.sources.leap import Leap
 
@@ -172,12 +172,13 @@ class VideoFile:
         image = reformatter.reformat(decoded, format="bgr24", threads=self._threads or None).to_ndarray()
         return _turned(image, self._turn)
 
-    def _greys(self, decoded: Any) -> NDArray[np.uint8] | None:
-        """The decoder's brightness plane, stretched as the picture's colours are; None where it has none of 8 bits."""
+    def _greys(self, decoded: Any, factor: int) -> NDArray[np.uint8] | None:
+        """The decoder's brightness at a factor, stretched as the colours are; None where it has none of 8 bits."""
         if decoded.format.name not in _WITH_BRIGHTNESS:
             return None
         plane = decoded.planes[0]
         greys = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: decoded.height, : decoded.width]
+        greys = shrunk(greys, factor)
         if decoded.color_range != _FULL_RANGE and not decoded.format.name.startswith("yuvj"):
             greys = np.asarray(cv2.LUT(greys, _STRETCH), dtype=np.uint8)
         return _turned(greys, self._turn)

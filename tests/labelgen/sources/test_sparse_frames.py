@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labelgen.sources.frames import Frame, FrameSource, grey_of, open_frames, sparse_frames
+from labelgen.sources.frames import Frame, FrameSource, grey_of, open_frames, shrunk, sparse_frames
 from labelgen.sources.leap import Leap
 from labelgen.sources.video import VideoFile
 
@@ -105,4 +105,8 @@ def test_greys_are_those_of_the_picture(tmp_path: Path, full_range: bool) -> Non
         assert lazy.grey.shape == (64, 320)
         np.testing.assert_allclose(lazy.grey.astype(float), grey_of(eager.image), atol=4)
         assert abs(float(lazy.grey.mean()) - float(eager.grey.mean())) < 2
+        assert lazy.small_grey(3).shape == (21, 106)
+        for factor in (1, 3):
+            np.testing.assert_allclose(lazy.small_grey(factor), shrunk(lazy.grey, factor), atol=1)
+            np.testing.assert_array_equal(eager.small_grey(factor), shrunk(eager.grey, factor))
         np.testing.assert_array_equal(lazy.image, eager.image)
