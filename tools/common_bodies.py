@@ -8,6 +8,7 @@ says when it is out of date.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from labelgen.calibrate.bodies import BODIES_FILE, COMMON_KINDS
 from labelgen.files import write_atomic
 from labelgen.geometry.projective import Array
 from labelgen.synth.bodies import body_mesh
-from labelgen.synth.shapes import mean_shape
+from labelgen.synth.shapes import BODY_TYPES, mean_shape
 
 __all__ = ["corners", "main"]
 
@@ -45,7 +46,11 @@ def corners(kind: str) -> Array:
 
 def main() -> None:
     """Write the file."""
-    rows = [f'"{kind}": {np.rint(1000 * corners(kind)).astype(int).tolist()}' for kind in COMMON_KINDS]
+    bodies_kept = {
+        kind: {"share": BODY_TYPES[kind].share, "corners_mm": np.rint(1000 * corners(kind)).astype(int).tolist()}
+        for kind in COMMON_KINDS
+    }
+    rows = [f'"{kind}": {json.dumps(kept)}' for kind, kept in bodies_kept.items()]
     path = Path(bodies.__file__).with_name(BODIES_FILE)
     write_atomic(path, ("{\n" + ",\n".join(rows) + "\n}\n").encode())
     typer.echo(str(path))

@@ -1,8 +1,8 @@
 """A few common vehicles as sets of points whose convex hull is the body: what the scale is measured with.
 
-The forms are those of the synthetic renderer (`labelgen.synth.shapes`) in their mean proportions: what a hatchback, a
-saloon or a van looks like on average. Vehicles of a type differ in length, width and height, and a mask says little
-about each of them; that is what `SIZE_SPREAD` allows for. `python -m tools.common_bodies` makes their file.
+The forms are those of the synthetic renderer in their mean proportions: what a hatchback, a saloon or a van looks like
+on average. Vehicles of a type differ in length, width and height, and a mask says little about each of them; that is
+what `SIZE_SPREAD` allows for. `python -m tools.common_bodies` makes their file.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from labelgen.geometry.projective import Array
-from labelgen.synth.shapes import BODY_TYPES
 
 __all__ = ["BODIES_FILE", "COMMON_KINDS", "SIZE_SPREAD", "Body", "common_bodies"]
 
@@ -24,7 +23,7 @@ SIZE_SPREAD = (0.06, 0.03, 0.04)
 COMMON_KINDS = ("supermini", "hatchback", "saloon", "estate", "suv", "minivan", "van")
 """The types that make up most of European traffic. Lorries and buses vary too much in size to measure with."""
 BODIES_FILE = "common_bodies.json"
-"""Corners of each type's hull, millimetres."""
+"""Each type's share in traffic, and the corners of its hull, millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +45,8 @@ class Body:
 @cache
 def common_bodies() -> tuple[Body, ...]:
     """One body of each common type."""
-    shares = np.array([BODY_TYPES[kind].share for kind in COMMON_KINDS])
-    shares = shares / shares.sum()
-    corners = json.loads(Path(__file__).with_name(BODIES_FILE).read_text(encoding="utf-8"))
+    kept = json.loads(Path(__file__).with_name(BODIES_FILE).read_text(encoding="utf-8"))
+    total = sum(kept[kind]["share"] for kind in COMMON_KINDS)
     return tuple(
-        Body(kind, float(share), np.array(corners[kind]) / 1000.0)
-        for kind, share in zip(COMMON_KINDS, shares, strict=True)
+        Body(kind, kept[kind]["share"] / total, np.array(kept[kind]["corners_mm"]) / 1000.0) for kind in COMMON_KINDS
     )

@@ -7,15 +7,17 @@ import pytest
 
 from labelgen.calibrate.bodies import COMMON_KINDS, common_bodies
 from labelgen.synth.bodies import body_mesh
-from labelgen.synth.shapes import mean_shape
+from labelgen.synth.shapes import BODY_TYPES, mean_shape
 from tools.common_bodies import corners
 
 
 @pytest.mark.parametrize("kind", COMMON_KINDS)
 def test_the_file_holds_the_renderers_bodies(kind: str) -> None:
     """If this fails, run `python -m tools.common_bodies`."""
-    kept = next(body.points for body in common_bodies() if body.kind == kind)
-    np.testing.assert_allclose(kept, corners(kind), atol=0.0006)
+    kept = next(body for body in common_bodies() if body.kind == kind)
+    np.testing.assert_allclose(kept.points, corners(kind), atol=0.0006)
+    total = sum(BODY_TYPES[k].share for k in COMMON_KINDS)
+    assert kept.share == pytest.approx(BODY_TYPES[kind].share / total)
 
 
 @pytest.mark.parametrize("kind", COMMON_KINDS)
