@@ -40,7 +40,7 @@ def draw_skin(
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
         skin.fill(chart, paint, PAINT)
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
-    skin.fill(Chart.MIRROR, dim(paint, 0.7) if rng.random() < 0.6 else TRIM, PAINT)
+    skin.fill(Chart.MIRROR, dim(paint, 0.8) if rng.random() < 0.75 else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_front(skin, shape, paint, style, rng, lamps)
@@ -67,7 +67,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
     )
     skin.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
     skin.bow(Chart.SIDE, [(0, 0), (end, 0), (end, shape.belt), (0, shape.belt)], (0.03, 0.5))
-    skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.6, 0.12)
+    skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.65, 0.18)
     sill = shape.clearance + 0.05 + style.cladding
     skin.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
     if style.dark_bumpers:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
+from labelgen.synth.blocks import coarse_blocks
 from labelgen.synth.glints import Stars
 from labelgen.synth.light import Light
 from labelgen.synth.mesh import Mesh
@@ -180,7 +181,7 @@ class Renderer:
         layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
         drawn = _visible_parts(layers)
         image = self._into_picture(image) if self.sensor.in_picture else self.sensor.before_noise(image)
-        self._add_noise(image, number)
+        self._add_noise(image, number, layers)
         self.sensor.write(image, time_s)
         return image, drawn
 
@@ -217,8 +218,8 @@ class Renderer:
         if window is None:
             return
         x0, y0, x1, y1 = window
-        # Shadows are soft: half the resolution does, save for small ones.
-        part = 1 if min(x1 - x0, y1 - y0) < _SMALL_SHADOW_PX else 2
+        # Shadows are soft: half the resolution does, save for small ones, and beside real ones.
+        part = 1 if self.sensor.in_picture or min(x1 - x0, y1 - y0) < _SMALL_SHADOW_PX else 2
         half = (max((x1 - x0) // part, 1), max((y1 - y0) // part, 1))
         to_half = np.array(half) / (x1 - x0, y1 - y0)
         # Far away a pixel spans many cells; the map's columns run along the road, which is upright in the picture.
@@ -324,14 +325,21 @@ class Renderer:
         rows = np.flatnonzero((image != self._road).any(axis=(1, 2)))
         if len(rows):
             band = slice(max(0, int(rows[0]) - _MARGIN), int(rows[-1]) + _MARGIN)
-            change: Any = cv2.subtract(image[band], self._road[band], dtype=cv2.CV_32F)
+            coded = image[band]
+            if self.sensor.block_step:
+                coded = coarse_blocks(coded, (coded != self._road[band]).any(axis=2), self.sensor.block_step)
+            change: Any = cv2.subtract(coded, self._road[band], dtype=cv2.CV_32F)
             change = self.sensor.sharpened(change, self.size_wh[0])
             cv2.add(out[band], change, dst=out[band], dtype=cv2.CV_8U)
         return out
 
-    def _add_noise(self, image: NDArray[np.uint8], number: int) -> None:
+    def _add_noise(self, image: NDArray[np.uint8], number: int, layers: Sequence[_Layer]) -> None:
         if self.sensor.grain is not None:
-            self.sensor.grain.add(image, self._noise, number)
+            vehicles = np.zeros(image.shape[:2], dtype=np.bool_)
+            for layer in layers:
+                (x, y), (h, w) = layer.origin_px, layer.mask.shape
+                vehicles[y : y + h, x : x + w] |= layer.mask
+            self.sensor.grain.add(image, self._noise, number, vehicles)
             return
         width, height = self.size_wh
         rng = np.random.default_rng([number, 5])

@@ -21,6 +21,8 @@ __all__ = ["GroundShadow", "ground_shadow"]
 
 _CELL = 0.04
 _SKY_DIRECTIONS = 24
+_PENUMBRA_M = 0.025
+"""Sigma of the blur of the sun's shadow: half a degree of sun from a metre or two above."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ class GroundShadow:
 
 
 def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
-    """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less."""
+    """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less; mirrors."""
     points = _with_points_on_long_edges(vehicle)
     length = vehicle.size_lwh[0]
     edges = np.linspace(-length / 2, length / 2, 7)
@@ -46,7 +48,10 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
         piece = points[(points[:, 0] >= low - 0.2) & (points[:, 0] <= high + 0.2)]
         if len(piece) > 3:
             pieces.append(piece)
-    return pieces or [points]
+    mesh = vehicle.mesh
+    beside = mesh.vertices[np.unique(mesh.triangles[len(mesh.body) :])]
+    mirrors = [beside[beside[:, 1] * side > 0] for side in (1, -1)]
+    return (pieces or [points]) + [mirror for mirror in mirrors if len(mirror) > 3]
 
 
 def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -93,7 +98,7 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     left = cv2.GaussianBlur(left, (0, 0), 0.07 / _CELL)
     if sun_share > 0.02:
         direction = np.array([sun[0], sun[1], max(sun[2], 0.15)])
-        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.05 / _CELL)
+        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), _PENUMBRA_M / _CELL)
         left += sun_share * lit.astype(np.float32) / 255
     else:
         left += sun_share
