@@ -110,7 +110,7 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         for z in np.arange(low + 0.03, high - 0.01, 0.045).tolist():
             skin.line(Chart.FRONT, [(-half + taper + 0.02, z), (half - taper - 0.02, z)], dim(dark, bar_tone), MATTE)
         if style.chrome:
-            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), dim(CHROME_TONE, 0.6), CHROME, 0.012)
+            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), dim(CHROME_TONE, 0.7), LAMP, 0.012)
 
     deep = rng.uniform(0.15, 0.27)
     lower = (foot, min(foot + deep, bumper_top - 0.06))

@@ -28,7 +28,7 @@ __all__ = [
 
 _LEAST_SIDE, _PER_VEHICLE, _FEWEST = 20, 500, 6
 _PALE, _NEARLY_GREY, _FEWEST_PX = 140, 45, 40
-_MOST_COLOUR, _CALM = 1.8, 0.7
+_MOST_COLOUR, _CALM, _BALANCING = 1.8, 0.7, 8
 _PERCENTILES = (4.0, 50.0, 98.5)
 _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
@@ -132,11 +132,11 @@ def _colour(pixels: NDArray[np.uint8]) -> float:
     return float(np.percentile(np.hypot(*(chroma - np.median(chroma, axis=0)).T), 95))
 
 
-def _cast(pixels: NDArray[np.uint8]) -> NDArray[np.float64] | None:
+def _cast(pixels: NDArray[np.uint8], fewest: int = _FEWEST_PX) -> NDArray[np.float64] | None:
     """Blue and red less green where a vehicle is pale; None where it is dark or coloured."""
     levels = pixels.astype(np.float64)
     pale = levels[(levels.min(axis=1) > _PALE) & (np.ptp(levels, axis=1) < _NEARLY_GREY) & (levels.max(axis=1) < 250)]
-    if len(pale) < max(_FEWEST_PX, 0.1 * len(levels)):
+    if len(pale) < max(fewest, 0.1 * len(levels)):
         return None
     return np.asarray((pale[:, [0, 2]] - pale[:, 1:2]).mean(axis=0))
 
@@ -184,32 +184,40 @@ def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:
     dark = float(np.clip(to_low - low * slope, 0, to_low))
     bright = float(np.clip(to_high + (255 - high) * slope, to_high, 255))
     tone = ((0.0, dark), (low, to_low), (middle, to_middle), (high, to_high), (255.0, bright))
-    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.9, 0.4, 1.6))
+    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.6, 0.4, 1.6))
     saturation = float(min(light.saturation * colour, _MOST_COLOUR))
     levels = np.linspace(0, 255, 18)
     before = light.toned(levels)
     rising = np.array(_rising(tone))
     after = np.interp(before, rising[:, 0], rising[:, 1])
     pairs = tuple(zip(levels.tolist(), after.tolist(), strict=True))
-    return _balanced(replace(light, tone=pairs, saturation=saturation), real, drawn)
+    return _balanced(replace(light, tone=pairs, saturation=saturation), real.cast)
 
 
-def _balanced(light: Light, real: Tones, drawn: Tones) -> Light:
-    """The light with which pale panels get the tint that they have in the video; the road keeps its own."""
-    if not any(real.cast) or not any(drawn.cast):
+def _balanced(light: Light, cast: tuple[float, ...]) -> Light:
+    """The light in which pale grey panels, in the sun and off it, have a tint; the road keeps its own."""
+    if not any(cast):
         return light
-    blue, red = (1 + (r - d) / _PALE for r, d in zip(real.cast, drawn.cast, strict=True))
-    # Saturation goes over light and paint alike, so the light needs less; and it changes from round to round.
-    tint = np.clip(np.array([red, 1.0, blue]) ** (_CALM * 2.2 / max(light.saturation, 1.0)), 0.7, 1.4)
-    tint /= tint.mean()
-    return replace(
-        light,
-        sun=light.sun * tint,
-        sky_low=light.sky_low * tint,
-        sky_high=light.sky_high * tint,
-        horizon=light.horizon * tint,
-        road=light.road / tint,
-    )
+    for _ in range(_BALANCING):
+        greys = np.linspace(0.2, 0.64, 12)[:, None]
+        sides = 0.5 * (light.ambient + light.road_radiance)
+        tops = light.sun * max(light.sun_direction[2], 0.0) + light.ambient
+        panels = np.concatenate([greys * facing for facing in (tops, sides, sides + 0.5 * light.sun)])
+        seen = _cast(light.grey_levels(panels)[:, ::-1].round().astype(np.uint8), fewest=6)
+        if seen is None:
+            break
+        blue, red = (1 + _CALM * (want - got) / _PALE for want, got in zip(cast, seen, strict=True))
+        tint = np.array([red, 1.0, blue])
+        tint /= tint.mean()
+        light = replace(
+            light,
+            sun=light.sun * tint,
+            sky_low=light.sky_low * tint,
+            sky_high=light.sky_high * tint,
+            horizon=light.horizon * tint,
+            road=light.road / tint,
+        )
+    return light
 
 
 def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) -> Sensor:

@@ -22,7 +22,7 @@ from labelgen.synth.light import Light
 from labelgen.synth.mesh import Mesh
 from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
 from labelgen.synth.sensor import PLAIN, Sensor
-from labelgen.synth.shadow import GroundShadow, ground_shadow
+from labelgen.synth.shadow import GroundShadow, ground_shadow, shadow_colours
 from labelgen.synth.still import NO_SHADE, Still
 from labelgen.synth.vehicles import Vehicle
 
@@ -143,6 +143,7 @@ class Renderer:
         self._road = sensor.unsharpened(background) if sensor.in_picture else background
         self._packed = light.packed()
         self._shadows: dict[int, GroundShadow] = {}
+        self._shadow_colours = shadow_colours(light)
         self._rng = np.random.default_rng([seed, 77])
         height, width = background.shape[:2]
         self.size_wh = (width, height)
@@ -237,7 +238,7 @@ class Renderer:
             left = cv2.addWeighted(left, clear, left, 0.0, 255 * (1 - clear))
         # The shadow lies on the road, behind what stands before it.
         cover = _NOTHING if self.still is None else self.still.cover[y0:y1, x0:x1]
-        darken(image[y0:y1, x0:x1], left, cover)
+        darken(image[y0:y1, x0:x1], left, cover, self._shadow_colours)
 
     def _clear(self, placed: Placed) -> float:
         """Share of the light that passes the air between the vehicle and the camera."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from labelgen.synth.light import Light
 from labelgen.synth.vehicles import Vehicle
 
-__all__ = ["GroundShadow", "ground_shadow"]
+__all__ = ["GroundShadow", "ground_shadow", "shadow_colours"]
 
 _CELL = 0.04
 _SKY_DIRECTIONS = 24
@@ -118,3 +118,20 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
         [[_CELL, 0, x * _CELL - half[0] + _CELL / 2], [0, _CELL, y * _CELL - half[1] + _CELL / 2], [0, 0, 1]]
     )
     return GroundShadow(levels[y : y + h, x : x + w].copy(), to_body)
+
+
+def shadow_colours(light: Light) -> NDArray[np.float32]:
+    """(256, 3) BGR, what a shadow leaves of each colour, by what it leaves of the grey levels: sky alone lights it."""
+    sun = light.sun * max(light.sun_direction[2], 0.0)
+    sky_share = float(light.ambient.sum() / (sun.sum() + light.ambient.sum()))
+    shares = np.linspace(0, 1, 256)
+    sunlit = np.clip((shares - sky_share) / max(1 - sky_share, 1e-6), 0, 1)[:, None]
+    dim = np.minimum(shares / sky_share, 1)[:, None]
+    colours = light.grey_levels(light.road * (light.ambient * dim + sun * sunlit))[:, ::-1]
+    left = colours / np.maximum(colours[-1], 1.0)
+    grey = np.maximum(left.mean(axis=1), 1 / 255)
+    # By grey levels rather than by light, and none of them brighter or darker on the whole.
+    steps = np.arange(256) / 255
+    at = np.interp(steps, grey, shares) * 255
+    tint = np.stack([np.interp(at, np.arange(256), left[:, k] / grey) for k in range(3)], axis=1)
+    return np.asarray((steps[:, None] * tint).clip(0, 1), dtype=np.float32)
