@@ -57,6 +57,7 @@ class Light:
         contrast: steepness of the camera's curve around middle grey.
         lift: grey level, 0 to 1, to which black is raised.
         tone: pairs of grey levels, rising: what the camera makes of what the curve gives; straight when empty.
+        balance: factors of red, green and blue after all of that: the tint of the whole picture.
     """
 
     weather: Weather
@@ -75,6 +76,7 @@ class Light:
     contrast: float = 1.0
     lift: float = 0.0
     tone: tuple[tuple[float, float], ...] = ()
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @property
     def ambient(self) -> NDArray[np.float64]:
@@ -93,13 +95,13 @@ class Light:
 
     @cached_property
     def curve(self) -> NDArray[np.float32]:
-        """Linear light, 0 to 4 in steps of 1 / `CURVE_STEPS`, to 0-255: a camera's gamma with a soft shoulder."""
+        """(3, 4 * `CURVE_STEPS` + 2) linear red, green and blue, 0 to 4, to 0-255: a gamma with a soft shoulder."""
         value = np.arange(4 * CURVE_STEPS + 2) / CURVE_STEPS
         value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value) ** (1 / 2.2)
         middle = 0.45
         steep = middle + self.contrast * (value - middle)
         levels = 255 * (self.lift + (1 - self.lift) * steep.clip(0, 1))
-        return np.asarray(self.toned(levels), dtype=np.float32)
+        return np.asarray(np.outer(self.balance, self.toned(levels)).clip(0, 255), dtype=np.float32)
 
     def toned(self, levels: Any) -> NDArray[np.float64]:
         """Grey levels after `tone`."""
@@ -131,7 +133,7 @@ class Light:
             grey = exposed @ LUMA
             exposed = grey[..., None] + np.float32(self.saturation) * (exposed - grey[..., None])
         at = (np.clip(exposed, 0, 4) * CURVE_STEPS).astype(np.int32)
-        return np.asarray(self.curve[at])
+        return np.asarray(self.curve[np.arange(3), at])
 
     def packed(self) -> NDArray[np.float64]:
         """(23,) as `raster.shade` takes it."""

@@ -28,7 +28,7 @@ __all__ = [
 
 _LEAST_SIDE, _PER_VEHICLE, _FEWEST = 20, 500, 6
 _PALE, _NEARLY_GREY, _FEWEST_PX = 140, 45, 40
-_MOST_COLOUR, _CALM, _BALANCING = 1.8, 0.7, 8
+_MOST_COLOUR, _CALM, _BRIGHT = 1.8, 0.7, 190.0
 _PERCENTILES = (4.0, 50.0, 98.5)
 _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
@@ -132,11 +132,11 @@ def _colour(pixels: NDArray[np.uint8]) -> float:
     return float(np.percentile(np.hypot(*(chroma - np.median(chroma, axis=0)).T), 95))
 
 
-def _cast(pixels: NDArray[np.uint8], fewest: int = _FEWEST_PX) -> NDArray[np.float64] | None:
+def _cast(pixels: NDArray[np.uint8]) -> NDArray[np.float64] | None:
     """Blue and red less green where a vehicle is pale; None where it is dark or coloured."""
     levels = pixels.astype(np.float64)
     pale = levels[(levels.min(axis=1) > _PALE) & (np.ptp(levels, axis=1) < _NEARLY_GREY) & (levels.max(axis=1) < 250)]
-    if len(pale) < max(fewest, 0.1 * len(levels)):
+    if len(pale) < max(_FEWEST_PX, 0.1 * len(levels)):
         return None
     return np.asarray((pale[:, [0, 2]] - pale[:, 1:2]).mean(axis=0))
 
@@ -147,11 +147,20 @@ def _fine(image: NDArray[np.uint8], mask: Mask) -> float:
     return float(np.abs(grey - soft)[mask].mean() / max(float(np.abs(soft - softer)[mask].mean()), 0.1))
 
 
-def footage_parts(footage: Footage, road: Mask, shadows: Shadows) -> Iterator[Part]:
-    """A video's vehicles, as far as they differ from the road."""
+def footage_parts(
+    footage: Footage, road: Mask, shadows: Shadows, known: Sequence[Mask] | None = None
+) -> Iterator[Part]:
+    """A video's vehicles, as far as they differ from the road.
+
+    Args:
+        footage: of the video.
+        road: (H, W) where to look.
+        shadows: of its vehicles, which are left out.
+        known: (H, W) for each look, where vehicles are; to be found out when None.
+    """
     empty = cv2.cvtColor(footage.empty, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1
-    for look in footage.looks:
-        change = footage.changed(look) & road
+    for number, look in enumerate(footage.looks):
+        change = footage.changed(look) & (road if known is None else road & known[number])
         if shadows.sunny:
             assert shadows.left is not None
             ratio = (cv2.cvtColor(look, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1) / empty
@@ -191,33 +200,16 @@ def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:
     rising = np.array(_rising(tone))
     after = np.interp(before, rising[:, 0], rising[:, 1])
     pairs = tuple(zip(levels.tolist(), after.tolist(), strict=True))
-    return _balanced(replace(light, tone=pairs, saturation=saturation), real.cast)
+    return _balanced(replace(light, tone=pairs, saturation=saturation), real, drawn)
 
 
-def _balanced(light: Light, cast: tuple[float, ...]) -> Light:
-    """The light in which pale grey panels, in the sun and off it, have a tint; the road keeps its own."""
-    if not any(cast):
+def _balanced(light: Light, real: Tones, drawn: Tones) -> Light:
+    """The light through a camera that gives pale panels the tint that they have in the video."""
+    if not any(real.cast) or not any(drawn.cast):
         return light
-    for _ in range(_BALANCING):
-        greys = np.linspace(0.2, 0.64, 12)[:, None]
-        sides = 0.5 * (light.ambient + light.road_radiance)
-        tops = light.sun * max(light.sun_direction[2], 0.0) + light.ambient
-        panels = np.concatenate([greys * facing for facing in (tops, sides, sides + 0.5 * light.sun)])
-        seen = _cast(light.grey_levels(panels)[:, ::-1].round().astype(np.uint8), fewest=6)
-        if seen is None:
-            break
-        blue, red = (1 + _CALM * (want - got) / _PALE for want, got in zip(cast, seen, strict=True))
-        tint = np.array([red, 1.0, blue])
-        tint /= tint.mean()
-        light = replace(
-            light,
-            sun=light.sun * tint,
-            sky_low=light.sky_low * tint,
-            sky_high=light.sky_high * tint,
-            horizon=light.horizon * tint,
-            road=light.road / tint,
-        )
-    return light
+    blue, red = (1 + _CALM * (want - got) / _BRIGHT for want, got in zip(real.cast, drawn.cast, strict=True))
+    factors = np.array(light.balance) * [red, 1.0, blue]
+    return replace(light, balance=tuple((factors / factors.mean()).clip(0.85, 1.15).tolist()))
 
 
 def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) -> Sensor:

@@ -27,7 +27,7 @@ from labelgen.synth.light_fit import (
     tones_of,
 )
 from labelgen.synth.panel_fit import fit_to_panels
-from labelgen.synth.render import Placed, Renderer
+from labelgen.synth.render import Placed, Renderer, covered_by
 from labelgen.synth.scenes import FARTHEST_M, Lane, Scene, line_through, visible_range
 from labelgen.synth.sensor import Sensor
 from labelgen.synth.sensor_fit import fit_sensor
@@ -159,8 +159,8 @@ def _fit_to_vehicles(
     traffic = _some_traffic(scene, light, plates)
     for _ in range(_ROUNDS):
         # Looked at as the video is, so that what is taken for a vehicle is the same.
-        looks = replace(footage, looks=_drawn_looks(scene, light, sensor, traffic))
-        drawn = tones_of(list(footage_parts(looks, scene.road_mask, shadows)))
+        looks, known = _drawn_looks(scene, light, sensor, traffic)
+        drawn = tones_of(list(footage_parts(replace(footage, looks=looks), scene.road_mask, shadows, known)))
         if drawn is None:
             break
         sensor = fit_to_details(sensor, measured, real, drawn)
@@ -185,11 +185,18 @@ def _some_traffic(scene: Scene, light: Light, plates: str | None) -> list[list[P
     return moments
 
 
-def _drawn_looks(scene: Scene, light: Light, sensor: Sensor, traffic: list[list[Placed]]) -> NDArray[np.uint8]:
-    """(K, H, W, 3) BGR, traffic drawn into the scene."""
+def _drawn_looks(
+    scene: Scene, light: Light, sensor: Sensor, traffic: list[list[Placed]]
+) -> tuple[NDArray[np.uint8], list[NDArray[np.bool_]]]:
+    """(K, H, W, 3) BGR, traffic drawn into the scene, and for each look (H, W) where vehicles are."""
     assert scene.background is not None
     renderer = Renderer(scene.camera, scene.background, light, seed=0, sensor=sensor)
-    return np.stack([renderer.frame(placed, number=number)[0] for number, placed in enumerate(traffic)])
+    looks, known = [], []
+    for number, placed in enumerate(traffic):
+        look, drawn = renderer.frame(placed, number=number)
+        looks.append(look)
+        known.append(covered_by(drawn, look.shape[:2]))
+    return np.stack(looks), known
 
 
 def _words(

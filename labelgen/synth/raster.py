@@ -104,10 +104,10 @@ def _environment(x: float, y: float, z: float, around: _F) -> tuple[float, float
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _curve(value: float, curve: _F) -> float:
+def _curve(value: float, curve: _F, colour: int) -> float:
     at = min(max(value, 0.0), 4.0) * 1024
     low = int(at)
-    return float(curve[low] + (at - low) * (curve[low + 1] - curve[low]))
+    return float(curve[colour, low] + (at - low) * (curve[colour, low + 1] - curve[colour, low]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -339,9 +339,9 @@ def shade(
             green = green * pose[4] + (1 - pose[4]) * n * light[20] * exposure
             blue = blue * pose[4] + (1 - pose[4]) * n * light[21] * exposure
             grey, colourful = 0.30 * red + 0.59 * green + 0.11 * blue, light[22]
-            out[r, col, 0] = _curve((grey + colourful * (blue - grey)) / n, curve) * alpha
-            out[r, col, 1] = _curve((grey + colourful * (green - grey)) / n, curve) * alpha
-            out[r, col, 2] = _curve((grey + colourful * (red - grey)) / n, curve) * alpha
+            out[r, col, 0] = _curve((grey + colourful * (blue - grey)) / n, curve, 2) * alpha
+            out[r, col, 1] = _curve((grey + colourful * (green - grey)) / n, curve, 1) * alpha
+            out[r, col, 2] = _curve((grey + colourful * (red - grey)) / n, curve, 0) * alpha
             out[r, col, 3] = alpha
     return out
 

@@ -26,7 +26,7 @@ from labelgen.synth.shadow import GroundShadow, ground_shadow, shadow_colours
 from labelgen.synth.still import NO_SHADE, Still
 from labelgen.synth.vehicles import Vehicle
 
-__all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
+__all__ = ["Drawn", "Placed", "Renderer", "covered_by", "painting_order"]
 
 _MIN_DEPTH = 1.0
 _MARGIN = 8
@@ -85,6 +85,15 @@ class Drawn:
     origin_px: tuple[int, int]
     visible: float
     outline_xyxy: NDArray[np.float64]
+
+
+def covered_by(drawn: Sequence[Drawn], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(H, W) where a frame of this height and width shows vehicles."""
+    out = np.zeros(size_hw, dtype=np.bool_)
+    for vehicle in drawn:
+        (x, y), (h, w) = vehicle.origin_px, vehicle.mask.shape
+        out[y : y + h, x : x + w] |= vehicle.mask
+    return out
 
 
 def painting_order(vehicles: Sequence[Placed]) -> list[int]:
@@ -182,7 +191,7 @@ class Renderer:
         layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
         drawn = _visible_parts(layers)
         image = self._into_picture(image) if self.sensor.in_picture else self.sensor.before_noise(image)
-        self._add_noise(image, number, layers)
+        self._add_noise(image, number, drawn)
         self.sensor.write(image, time_s)
         return image, drawn
 
@@ -334,13 +343,9 @@ class Renderer:
             cv2.add(out[band], change, dst=out[band], dtype=cv2.CV_8U)
         return out
 
-    def _add_noise(self, image: NDArray[np.uint8], number: int, layers: Sequence[_Layer]) -> None:
+    def _add_noise(self, image: NDArray[np.uint8], number: int, drawn: Sequence[Drawn]) -> None:
         if self.sensor.grain is not None:
-            vehicles = np.zeros(image.shape[:2], dtype=np.bool_)
-            for layer in layers:
-                (x, y), (h, w) = layer.origin_px, layer.mask.shape
-                vehicles[y : y + h, x : x + w] |= layer.mask
-            self.sensor.grain.add(image, self._noise, number, vehicles)
+            self.sensor.grain.add(image, self._noise, number, covered_by(drawn, image.shape[:2]))
             return
         width, height = self.size_wh
         rng = np.random.default_rng([number, 5])
