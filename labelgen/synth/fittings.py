@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.synth.mesh import Chart
-from labelgen.synth.raster import CHROME, GLASS, MATTE, PLATE
+from labelgen.synth.raster import GLASS, LAMP, MATTE, PLATE
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim, rounded
 
@@ -234,7 +234,7 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     for axle in shape.axles:
         hub = np.array([axle, shape.wheel])
         outer = (0.55 if heavy else 0.70) * shape.wheel
-        skin.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, CHROME)
+        skin.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, LAMP)
         skin.circle(Chart.WHEEL, hub.tolist(), outer - 0.01, (0.012, 0.012, 0.012), MATTE)
         if family == 0 or heavy:
             skin.circle(Chart.WHEEL, hub.tolist(), 0.85 * outer, dim(rim, 0.7), MATTE)
@@ -246,8 +246,8 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
                 across = np.array([-ahead[1], ahead[0]]) * wide * shape.wheel
                 tip = hub + 0.98 * outer * ahead
                 ring = [hub - across, hub + across, tip + 0.7 * across, tip - 0.7 * across]
-                skin.polygon(Chart.WHEEL, ring, rim, CHROME)
-        skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, CHROME)
+                skin.polygon(Chart.WHEEL, ring, rim, LAMP)
+        skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, LAMP)
 
 
 def mirrored(points: Sequence[tuple[float, float]], side: int) -> list[tuple[float, float]]:
