@@ -22,6 +22,8 @@ _SIDE = 8
 _K = np.arange(_SIDE)
 _COSINES = np.where(_K[:, None] == 0, np.sqrt(1 / _SIDE), 0.5 * np.cos((2 * _K + 1) * _K[:, None] * np.pi / 16))
 # As the default matrices of MPEG and JPEG: fine details are rounded some six times as coarsely as the mean.
+_COLOUR_COARSER = 2.0
+"""Colours are rounded more coarsely, as by JPEG's matrices; and such recorders' sources had few of them."""
 _STEPS = 1 + 0.4 * (_K[:, None] + _K)
 
 
@@ -42,7 +44,7 @@ def coarse_blocks(image: NDArray[np.uint8], moving: NDArray[np.bool_], step: flo
     for k in (1, 2):
         # Colours come at half the resolution, so that their blocks are twice as large.
         few = cv2.resize(planes[..., k], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        coarse = _rounded(few, where[::2, ::2] | where[1::2, 1::2], step)
+        coarse = _rounded(few, where[::2, ::2] | where[1::2, 1::2], _COLOUR_COARSER * step)
         planes[..., k] += cv2.resize(coarse - few, whole.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     out = cv2.cvtColor(planes.round().clip(0, 255).astype(np.uint8), cv2.COLOR_YCrCb2BGR)[:height, :width]
     near = cv2.dilate(moving.astype(np.uint8), np.ones((4 * _SIDE, 4 * _SIDE), np.uint8)) > 0

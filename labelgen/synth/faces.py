@@ -208,7 +208,7 @@ _TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, _SEAM)
-    braking = bool(rng.random() < 0.15)
+    braking = bool(rng.random() < 0.12)
     narrow = half * (1 - 0.6 * shape.corner)
     foot = shape.clearance + 0.10 + style.cladding
     bumper_top = shape.clearance + rng.uniform(0.26, 0.36)
