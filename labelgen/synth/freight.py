@@ -166,7 +166,7 @@ def _bus_glazing(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generat
             high_seat = low + rng.uniform(0.25, 0.4)
             corners = [(seat, low + 0.06), (back, low + 0.06), (back - 0.05, high_seat), (seat + 0.05, high_seat)]
             skin.polygon(Chart.SIDE, corners, (shade, shade, 1.1 * shade), GLASS)
-        skin.fade(Chart.SIDE, ring, (0.15, 0.165, 0.18), (rng.uniform(0.45, 0.7), 0.1))
+        skin.fade(Chart.SIDE, ring, (0.15, 0.165, 0.18), (rng.uniform(0.2, 0.45), 0.04))
         skin.rectangle(Chart.SIDE, (right, low + 0.02), (right + pillar, high - 0.02), post, PAINT)
         if lights is not None:
             skin.line(Chart.SIDE, [(left, lights), (right, lights)], (0.05, 0.05, 0.05), MATTE, 0.035)
