@@ -47,6 +47,7 @@ def coarse_blocks(image: NDArray[np.uint8], moving: NDArray[np.bool_], step: flo
         coarse = _rounded(few, where[::2, ::2] | where[1::2, 1::2], _COLOUR_COARSER * step)
         planes[..., k] += cv2.resize(coarse - few, whole.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     out = cv2.cvtColor(planes.round().clip(0, 255).astype(np.uint8), cv2.COLOR_YCrCb2BGR)[:height, :width]
+    # Elsewhere the way to brightness and colours and back would cost a grey level.
     near = cv2.dilate(moving.astype(np.uint8), np.ones((4 * _SIDE, 4 * _SIDE), np.uint8)) > 0
     return np.where(near[..., None], out, image)
 

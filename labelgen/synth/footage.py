@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError
 from labelgen.sources.frames import FrameSource, open_frames
 
-__all__ = ["CHANGED", "Footage", "read_footage", "usual_packet"]
+__all__ = ["CHANGED", "Footage", "codec_of", "read_footage", "usual_packet"]
 
 CHANGED = 22
 """Grey levels of any colour from which on a pixel differs from the empty road."""
