@@ -124,9 +124,10 @@ def wing_mirrors(shape: Shape) -> list[Mesh]:
     d = shape.cowl[0] + 0.36 * (shape.roof_front[0] - shape.cowl[0]) + 0.06
     x, half, z = shape.length / 2 - d, shape.width / 2, shape.belt + (0.10 if shape.kind == "van" else 0.045)
     thick = 0.12 if shape.kind == "van" else 0.08
-    # Across: foot, the housing's inner end, its middle, its outer end; it leans back a little.
-    across = (-0.10, -0.04, 0.0, 0.075, 0.105)
-    radii = (0.025, 0.035, 0.9 * thick, thick, 0.55 * thick)
+    # Across: foot, the housing's inner end, its middle, its outer end; it leans back a little. The foot is thick enough
+    # for the housing not to float beside the body in a coarse picture.
+    across = (-0.13, -0.06, -0.02, 0.065, 0.10)
+    radii = (0.055, 0.05, 0.8 * thick, thick, 0.55 * thick)
     spines = [[(x - 0.3 * max(y, 0), side * (half + y), z + 0.2 * y) for y in across] for side in (1, -1)]
     return [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8) for spine in spines]
 

@@ -14,8 +14,8 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front", "draw_rear"]
 
 _SEAM = 0.3
-_REFLECTOR: Colour = (0.42, 0.43, 0.45)
-_BEHIND_GLASS: Colour = (0.10, 0.102, 0.108)
+_REFLECTOR: Colour = (0.55, 0.56, 0.57)
+_BEHIND_GLASS: Colour = (0.15, 0.153, 0.158)
 _GLOW: Colour = (1.0, 0.97, 0.88)
 _LAMP_TALL = 1.25
 
@@ -75,7 +75,7 @@ def _bow_end(
     # The ledge on which the upper panel stands catches the sky, what lies under the bumper sees the road alone.
     ledge = [(-half, middle - 0.045), (half, middle - 0.045), (half, middle), (-half, middle)]
     skin.bow(chart, ledge, (0.0, 0.0), (0.0, rng.uniform(0.4, 0.9)))
-    skin.shadow(chart, [(-half, foot - 0.03), (half, foot - 0.03)], 0.75, 0.1)
+    skin.shadow(chart, [(-half, foot - 0.02), (half, foot - 0.02)], 0.75, 0.16)
 
 
 def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator) -> None:
@@ -110,7 +110,7 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
         for z in np.arange(low + 0.03, high - 0.01, 0.045).tolist():
             skin.line(Chart.FRONT, [(-half + taper + 0.02, z), (half - taper - 0.02, z)], dim(dark, bar_tone), MATTE)
         if style.chrome:
-            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), dim(CHROME_TONE, 0.6), CHROME, 0.012)
+            skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), dim(CHROME_TONE, 0.7), LAMP, 0.012)
 
     deep = rng.uniform(0.15, 0.27)
     lower = (foot, min(foot + deep, bumper_top - 0.06))
@@ -149,7 +149,7 @@ def _grille(skin: Skin, shape: Shape, style: Style, narrow: float, bumper_top: f
 
 def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bool) -> None:
     shapes = _HEAD_LAMPS[style.lamp]
-    nose = shape.nose
+    nose, swept = shape.nose, min(0.26 + 0.05 * style.lamp, 0.5 * shape.cowl[0])
     for side in (-1, 1):
         ring = mirrored([(share * narrow, nose + _LAMP_TALL * down) for share, down in shapes], side)
         smooth = rounded(ring)
@@ -168,11 +168,12 @@ def _head_lamps(skin: Skin, shape: Shape, style: Style, narrow: float, lamps: bo
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
         # What of the lamp lies on the wing, seen from above and from the side.
         inner = min(share for share, _ in shapes)
-        ys = (side * (0.4 * inner + 0.6) * narrow, side * 1.06 * narrow)
-        on_top = np.array([(0.02, ys[0]), (0.08, ys[0]), (0.24, ys[1]), (0.02, ys[1])])
+        ys = (side * (0.5 * inner + 0.5) * narrow, side * 1.06 * narrow)
+        on_top = np.array([(0.02, ys[0]), (0.10, ys[0]), (swept, ys[1]), (0.02, ys[1])])
         skin.polygon(Chart.TOP, on_top, _BEHIND_GLASS, LAMP)
+        skin.shadow(Chart.TOP, np.concatenate([on_top, on_top[:1]]), 0.4, 0.03)
         centre = on_top.mean(axis=0)
-        skin.polygon(Chart.TOP, centre + 0.35 * (on_top - centre), dim(_REFLECTOR, 0.6), LAMP)
+        skin.polygon(Chart.TOP, centre + 0.5 * (on_top - centre), dim(_REFLECTOR, 0.8), LAMP)
     down = [d for _, d in shapes]
     z0, z1 = nose + min(down), nose + max(down) + 0.04
     skin.polygon(Chart.SIDE, [(0, z0), (0, z1), (0.32, z1 + 0.01), (0.2, z0 + 0.04)], (0.12, 0.12, 0.13), LAMP)
@@ -207,7 +208,7 @@ _TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, _SEAM)
-    braking = bool(rng.random() < 0.15)
+    braking = bool(rng.random() < 0.12)
     narrow = half * (1 - 0.6 * shape.corner)
     foot = shape.clearance + 0.10 + style.cladding
     bumper_top = shape.clearance + rng.uniform(0.26, 0.36)
@@ -219,8 +220,8 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     skin.shadow(Chart.REAR, [(-half, bumper_top + 0.01), (half, bumper_top + 0.01)], 0.45)
     if shape.kind != "van" and shape.cargo is None:
         _bow_end(skin, Chart.REAR, half, (foot, bumper_top, shape.tail), rng)
-    if rng.random() < 0.6:  # unpainted below the bumper's middle
-        top_z = foot + rng.uniform(0.05, 0.12)
+    if rng.random() < 0.85:  # unpainted below the bumper's middle
+        top_z = foot + rng.uniform(0.05, 0.16)
         ring = [(-0.75 * narrow, foot), (0.75 * narrow, foot), (0.6 * narrow, top_z), (-0.6 * narrow, top_z)]
         skin.polygon(Chart.REAR, ring, TRIM, MATTE)
     if shape.kind == "van":
@@ -236,8 +237,8 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         skin.line(Chart.REAR, points, dim(paint, 0.55), PAINT)
         skin.groove(Chart.REAR, points, 0.004)
     crease = top - tall * rng.uniform(0.2, 1.0)
-    skin.emboss(Chart.REAR, [(-lid, crease), (lid, crease), (lid, top + 0.3), (-lid, top + 0.3)], 0.012, soft=True)
-    if rng.random() < 0.35:
+    skin.emboss(Chart.REAR, [(-lid, crease), (lid, crease), (lid, top + 0.3), (-lid, top + 0.3)], 0.02, soft=True)
+    if rng.random() < 0.55:
         skin.rectangle(Chart.REAR, (-0.3, top - tall - 0.01), (0.3, top - tall + 0.015), CHROME_TONE, CHROME)
     skin.circle(Chart.REAR, (0, top - 0.06), rng.uniform(0.025, 0.04), BLACK, PAINT)
     skin.circle(Chart.REAR, (0, top - 0.06), 0.024, CHROME_TONE, CHROME)
@@ -297,8 +298,8 @@ def _tail_lamps(
 ) -> None:  # fmt: skip
     family = _TAIL_LAMPS[style.rear_lamp]
     # Unlit ones are dark red, and greyed by what they mirror; those across the whole lid shine at their ends alone.
-    bright, wide = rng.uniform(0.6, 1.4), style.rear_lamp == 5
-    unlit: Colour = (0.12 * bright, 0.016, 0.019)
+    bright, wide = rng.uniform(0.7, 1.3), style.rear_lamp == 5
+    unlit: Colour = (0.21 * bright, 0.017, 0.024)
     red: Colour = unlit
     if lamps:
         red = (0.30, 0.016, 0.02)
@@ -306,23 +307,33 @@ def _tail_lamps(
         red = (0.42, 0.034, 0.045)
     clear: Colour = dim((0.22, 0.19, 0.185), rng.uniform(0.7, 1.4))
     shining = LIT if lamps or braking else LAMP
+    lift, pale, mirrored_sky = rng.uniform(-0.12, 0.2), rng.random() < 0.4, rng.uniform(0.05, 0.3)
     for side in (-1, 1):
         ring = mirrored([(share * narrow, top - down * tall) for share, down in family], side)
         smooth = rounded(ring, 0.06)
         middle = np.mean(ring, axis=0)
-        skin.polygon(Chart.REAR, smooth, dim(red, 0.25), LAMP)
-        skin.polygon(
-            Chart.REAR, middle + 0.88 * (smooth - middle), *((dim(unlit, 0.7), LAMP) if wide else (red, shining))
-        )
-        # A lamp is a bowl behind bowed glass: brighter in its middle, with a dark gap around.
+        inner = middle + 0.88 * (smooth - middle)
+        skin.polygon(Chart.REAR, smooth, dim(unlit, 0.2), LAMP)
+        skin.polygon(Chart.REAR, inner, unlit, LAMP)
+        # A lamp is a bowl behind bowed glass: its foot lies in shadow, a part of it shines, a dark gap runs around.
+        skin.fade(Chart.REAR, inner, dim(unlit, 0.12), (0.0, rng.uniform(0.5, 0.9)))
         skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.55, 0.035)
-        core: tuple[Colour, int] = ((0.8, 0.19, 0.20), LIT) if braking else (dim(red, 1.5), LIT if lamps else LAMP)
-        heart = np.array([side * 0.88 * narrow, middle[1]]) if wide else middle
-        skin.polygon(Chart.REAR, heart + (0.15 if wide else 0.4) * (smooth - middle), *core)
+        heart = np.array([side * 0.88 * narrow, middle[1]]) if wide else middle + np.array([0, lift * tall])
+        size = 0.15 if wide else 0.55
+        if shining == LIT:
+            skin.polygon(Chart.REAR, heart + size * (smooth - middle), red, LIT)
+            core: Colour = (0.62, 0.085, 0.10) if braking else dim(red, 1.5)
+            skin.polygon(Chart.REAR, heart + 0.6 * size * (smooth - middle), core, LIT)
+        else:
+            skin.polygon(Chart.REAR, heart + 0.7 * size * (smooth - middle), dim(unlit, 1.6), LAMP)
         skin.bow(Chart.REAR, smooth, (1.5, 2.0), (0.0, 0.2))
         low = (side * 0.86 * narrow, top - 0.72 * tall)
-        if style.rear_lamp in (0, 3, 4):
-            skin.rectangle(Chart.REAR, low, (side * 1.02 * narrow, low[1] + 0.18 * tall), clear, LAMP)
+        if style.rear_lamp in (0, 3, 4) or (not wide and pale):
+            inwards = style.rear_lamp in (2, 4)
+            ends = (side * 0.62 * narrow, side * 0.80 * narrow) if inwards else (low[0], side * 1.02 * narrow)
+            skin.rectangle(Chart.REAR, (ends[0], low[1]), (ends[1], low[1] + 0.2 * tall), clear, LAMP)
+        # The sky lies over its upper edge.
+        skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
         if style.rear_lamp == 1:
             skin.rectangle(
                 Chart.REAR, (side * 0.88 * narrow, top), (side * 1.0 * narrow, top + 0.03), (0.24, 0.12, 0.035), LAMP

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.synth.mesh import Chart
-from labelgen.synth.raster import CHROME, GLASS, MATTE, PLATE
+from labelgen.synth.raster import GLASS, LAMP, MATTE, PLATE
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim, rounded
 
@@ -74,7 +74,7 @@ PLATES = ("european", "yellow", "blue", "short")
 def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = None) -> Style:
     """A style that suits a body. `plates`: one of `PLATES`, any when None."""
     rugged = shape.kind in ("suv", "pickup", "van") and rng.random() < 0.6
-    clear = rng.uniform(0.006, 0.035)
+    clear = rng.uniform(0.010, 0.045)
     private = clear if rng.random() < 0.55 else 0.006
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
@@ -87,7 +87,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
         chrome=bool(rng.random() < 0.25),
-        glass=(clear, clear * 1.15, clear * 1.15),
+        glass=(clear, clear * 1.2, clear * 1.12),
         rear_glass=(private, private * 1.1, private * 1.1),
         dark_roof=bool(rng.random() < 0.08),
         rails=rails,
@@ -99,7 +99,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
     ((0.62, 0.62, 0.60), _INK, True), ((0.42, 0.32, 0.09), _INK, True),
-    ((0.15, 0.225, 0.29), (0.44, 0.46, 0.47), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
+    ((0.075, 0.19, 0.31), (0.50, 0.52, 0.53), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 
@@ -139,7 +139,7 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
                 at = z + rng.uniform(-high, high - 0.012)
                 skin.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
     # The sky is mirrored in its upper part.
-    skin.fade(chart, recess, _SKY, (rng.uniform(0.1, 0.4), 0.05))
+    skin.fade(chart, recess, _SKY, (rng.uniform(0.05, 0.25), 0.03))
 
 
 def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
@@ -206,9 +206,11 @@ def passengers(
         grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.018 if rear else 0.03))))
         place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
         oval(*place, rng.uniform(0.10, 0.3), rng.uniform(0.05, 0.12) * long, (grey * 0.95, grey * 1.05, grey))
+    headrests = rng.random() < 0.4
     for side in (-0.5, 0.5):
-        seat = rng.uniform(0.03, 0.08) if rear else rng.uniform(0.014, 0.05)
-        oval(side * half, high - (0.5 if rear else 0.22) * long, 0.14, 0.10 * long, (seat, seat, seat))
+        seat = rng.uniform(0.012, 0.05)
+        if not rear or headrests:
+            oval(side * half, high - (0.5 if rear else 0.22) * long, 0.14, 0.10 * long, (seat, seat, seat))
         if not rear and (side < 0 or rng.random() < 0.3):
             r, g, b = (rng.uniform(0.008, 0.05) * rng.normal(1, 0.15, 3).clip(0.5, 1.5)).tolist()
             oval(side * half, low + 0.50 * long, 0.17, 0.15 * long, (r, g, b))
@@ -232,7 +234,7 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     for axle in shape.axles:
         hub = np.array([axle, shape.wheel])
         outer = (0.55 if heavy else 0.70) * shape.wheel
-        skin.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, CHROME)
+        skin.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, LAMP)
         skin.circle(Chart.WHEEL, hub.tolist(), outer - 0.01, (0.012, 0.012, 0.012), MATTE)
         if family == 0 or heavy:
             skin.circle(Chart.WHEEL, hub.tolist(), 0.85 * outer, dim(rim, 0.7), MATTE)
@@ -244,8 +246,8 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
                 across = np.array([-ahead[1], ahead[0]]) * wide * shape.wheel
                 tip = hub + 0.98 * outer * ahead
                 ring = [hub - across, hub + across, tip + 0.7 * across, tip - 0.7 * across]
-                skin.polygon(Chart.WHEEL, ring, rim, CHROME)
-        skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, CHROME)
+                skin.polygon(Chart.WHEEL, ring, rim, LAMP)
+        skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, LAMP)
 
 
 def mirrored(points: Sequence[tuple[float, float]], side: int) -> list[tuple[float, float]]:

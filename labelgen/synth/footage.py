@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError
 from labelgen.sources.frames import FrameSource, open_frames
 
-__all__ = ["CHANGED", "Footage", "read_footage", "usual_packet"]
+__all__ = ["CHANGED", "Footage", "codec_of", "read_footage", "usual_packet"]
 
 CHANGED = 22
 """Grey levels of any colour from which on a pixel differs from the empty road."""
@@ -26,6 +26,10 @@ _STILL_PX = 0.35
 _DENSEST = 0.4
 """Share of the looks that agree where the road is seen."""
 _BAND, _LOOSE = 16, 30
+_ALIKE, _NEAR, _WORTH = 12, 24, 0.6
+"""Grey levels by which looks at one road differ, and by which it differs from place to place; how many looks of the
+former kind one of the latter is worth."""
+_COLOURED, _FEW = 20, 0.42
 _RUN, _PACKETS = 48, 1500
 
 Image = NDArray[np.uint8]
@@ -43,6 +47,7 @@ class Footage:
         empty: (H, W, 3) uint8 BGR, the empty road.
         shake_px: how far the picture moved, root of the mean square.
         packet_bytes: of a compressed frame that rests on others; None where that is not known.
+        codec: FFmpeg's name of what it is compressed with; empty where that is not known.
     """
 
     name: str
@@ -52,6 +57,7 @@ class Footage:
     empty: Image
     shake_px: float
     packet_bytes: float | None
+    codec: str = ""
 
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
@@ -83,8 +89,8 @@ def read_footage(path: Path) -> Footage:
     if count < _FEWEST or len(looks) < _FEWEST:
         raise DataError(f"{path}: {count} frames are too few to see the empty road; give a longer video")
     held, shake = _held_still(looks)
-    size = usual_packet(path) if path.is_file() else None
-    return Footage(source.name, source.fps or 25.0, held, raw, _densest(held), shake, size)
+    size, codec = (usual_packet(path), codec_of(path)) if path.is_file() else (None, "")
+    return Footage(source.name, source.fps or 25.0, held, raw, _densest(held), shake, size, codec)
 
 
 def usual_packet(video: Path) -> float | None:
@@ -102,6 +108,17 @@ def usual_packet(video: Path) -> float | None:
     except (OSError, ValueError):
         return None
     return float(np.mean(sizes)) if sizes else None
+
+
+def codec_of(video: Path) -> str:
+    """FFmpeg's name of a video's codec; empty where it cannot be told."""
+    import av
+
+    try:
+        with av.open(str(video)) as container:
+            return str(container.streams.video[0].codec_context.name)
+    except (OSError, ValueError, IndexError):
+        return ""
 
 
 def _looks(source: FrameSource, size_wh: tuple[int, int]) -> tuple[Image, Image, int]:
@@ -186,4 +203,35 @@ def _densest(looks: Image) -> Image:
         out[row : row + _BAND] = np.partition(colours, share // 2, axis=0)[share // 2]
     # Where something stood for most of the time the looks agree on nothing: an even blot is better than specks.
     out[loose] = cv2.medianBlur(out, 7)[loose]
+    return _mended(out, looks)
+
+
+def _mended(empty: Image, looks: Image) -> Image:
+    """The empty road without specks of what stood on it for much of the time.
+
+    Where less than half of the looks agree with a pixel, those are taken that look as the sure road around it does,
+    if they are not much fewer: where there are markings, hardly any do.
+    """
+    votes = np.zeros(empty.shape[:2], dtype=np.int32)
+    for look in looks:
+        votes += cv2.absdiff(look, empty).max(axis=2) <= _ALIKE
+    unsure = votes < 0.5 * len(looks)
+    # The sure road around, from wide to narrow: its mean where there is any.
+    sure = (~unsure).astype(np.float32)
+    around = np.full(empty.shape, 0.0, dtype=np.float32)
+    for width in (121, 61, 31):
+        share = cv2.blur(sure, (width, width))
+        mean = cv2.blur(empty * sure[..., None], (width, width)) / np.maximum(share, 1e-6)[..., None]
+        around = np.where((share > 0.1)[..., None], mean, around)
+    odd = unsure & (np.abs(empty - around).max(axis=2) > _ALIKE)
+    rows, columns = np.nonzero(odd)
+    out = empty.copy()
+    seen = looks[:, rows, columns].astype(np.float32)
+    near = np.abs(seen - around[rows, columns]).max(axis=2) <= _NEAR
+    enough = near.sum(axis=0) > np.maximum(_WORTH * votes[rows, columns], 2)
+    seen[~near] = np.nan
+    out[rows[enough], columns[enough]] = np.nanmedian(seen[:, enough], axis=0)
+    # What then is still seldom seen and of another colour than the road around are specks.
+    speck = odd & (votes < _FEW * len(looks)) & (np.ptp(out.astype(np.float32) - around, axis=2) > _COLOURED)
+    out[speck] = cv2.medianBlur(out, 9)[speck]
     return out

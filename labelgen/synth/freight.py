@@ -48,7 +48,7 @@ def draw_cargo(
         skin.line(Chart.SIDE, [(start, edge), (length, edge)], _STEEL, MATTE, 0.06)
         skin.line(Chart.REAR, [(-half, edge), (half, edge)], _STEEL, MATTE, 0.08)
     _back_doors(skin, half, low, high, seam)
-    red: Colour = (0.40, 0.03, 0.03) if lamps else (0.14, 0.015, 0.017)
+    red: Colour = (0.40, 0.03, 0.03) if lamps else (0.22, 0.018, 0.024)
     for side in (-1, 1):
         skin.rectangle(Chart.REAR, (side * 0.70, 0.46), (side * 1.14, 0.62), BLACK, MATTE)
         skin.rectangle(Chart.REAR, (side * 0.74, 0.49), (side * 0.98, 0.59), red, LIT if lamps else LAMP)
@@ -166,7 +166,7 @@ def _bus_glazing(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generat
             high_seat = low + rng.uniform(0.25, 0.4)
             corners = [(seat, low + 0.06), (back, low + 0.06), (back - 0.05, high_seat), (seat + 0.05, high_seat)]
             skin.polygon(Chart.SIDE, corners, (shade, shade, 1.1 * shade), GLASS)
-        skin.fade(Chart.SIDE, ring, (0.15, 0.165, 0.18), (rng.uniform(0.45, 0.7), 0.1))
+        skin.fade(Chart.SIDE, ring, (0.15, 0.165, 0.18), (rng.uniform(0.2, 0.45), 0.04))
         skin.rectangle(Chart.SIDE, (right, low + 0.02), (right + pillar, high - 0.02), post, PAINT)
         if lights is not None:
             skin.line(Chart.SIDE, [(left, lights), (right, lights)], (0.05, 0.05, 0.05), MATTE, 0.035)
@@ -241,7 +241,7 @@ def draw_bus_rear(
     skin.rectangle(Chart.REAR, vent, (-vent[0], vent[1] + 0.28), dim(paint, 0.4), MATTE)
     for z in np.arange(vent[1] + 0.03, vent[1] + 0.27, 0.06).tolist():
         skin.line(Chart.REAR, [(vent[0], z), (-vent[0], z)], dim(paint, 0.22), MATTE, 0.02)
-    red: Colour = (0.11, 0.016, 0.018)
+    red: Colour = (0.18, 0.017, 0.022)
     for side in (-1, 1):
         y = side * 0.86 * half
         well = [

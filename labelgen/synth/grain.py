@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numba
@@ -25,12 +25,14 @@ class Grain:
         grey: of brightness.
         colour: of each of the two colour differences.
         grey_px, colour_px: sigma of the blur that makes neighbours alike, px.
+        on_vehicles: shares of both that vehicles have: what moves comes out of a recorder smoother than what stands.
     """
 
     grey: tuple[float, ...]
     colour: tuple[float, ...]
     grey_px: float
     colour_px: float
+    on_vehicles: tuple[float, ...] = (1.0,)
 
     def tile(self, size_wh: tuple[int, int], rng: np.random.Generator) -> NDArray[np.int8]:
         """(H + 128, W + 128, 3) noise of unit strength, larger than a frame so that each takes another part of it."""
@@ -43,42 +45,39 @@ class Grain:
             out[..., k] = (_SPREAD * plane / plane.std()).round().clip(-127, 127)
         return out
 
-    def add(self, image: NDArray[np.uint8], tile: NDArray[np.int8], number: int) -> None:
+    def add(
+        self, image: NDArray[np.uint8], tile: NDArray[np.int8], number: int, vehicles: NDArray[np.bool_] | None = None
+    ) -> None:
         """Add noise to a frame (H, W, 3) uint8 BGR, in place.
 
         Args:
             image: the frame.
             tile: what `tile` gave.
             number: of the frame; picks the part of the tile.
+            vehicles: (H, W) where vehicles are; nowhere when None.
         """
         height, width = image.shape[:2]
         dx, dy = np.random.default_rng([number, 5]).integers(0, _MORE, 2).tolist()
         steps = np.linspace(0, 255, len(self.grey))
+        shares = np.interp(np.arange(256), np.linspace(0, 255, len(self.on_vehicles)), self.on_vehicles)
         tables = [np.interp(np.arange(256), steps, part) * _FIXED / _SPREAD for part in (self.grey, self.colour)]
-        _add(image, tile[dy : dy + height, dx : dx + width], *(t.round().astype(np.int32) for t in tables))
-
-    def scaled_to(self, wanted: Grain, left: Grain, most: float) -> Grain:
-        """This grain, stronger by as much as `left`, what is left of it, falls short of `wanted`; `most` times that."""
-
-        def part(mine: tuple[float, ...], want: tuple[float, ...], got: tuple[float, ...]) -> tuple[float, ...]:
-            return tuple(
-                float(np.clip(m * np.clip(w / max(g, 0.05), 0.5, 2.0), w, most * w))
-                for m, w, g in zip(mine, want, got, strict=True)
-            )
-
-        return replace(
-            self, grey=part(self.grey, wanted.grey, left.grey), colour=part(self.colour, wanted.colour, left.colour)
-        )
+        grey, colour = (np.stack([t, t * shares]).round().astype(np.int32) for t in tables)
+        where = np.zeros((height, width), dtype=np.bool_) if vehicles is None else vehicles
+        _add(image, tile[dy : dy + height, dx : dx + width], where, grey, colour)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add(image: NDArray[np.uint8], noise: NDArray[np.int8], grey: NDArray[np.int32], colour: NDArray[np.int32]) -> None:
+def _add(
+    image: NDArray[np.uint8], noise: NDArray[np.int8], vehicles: NDArray[np.bool_], grey: NDArray[np.int32],
+    colour: NDArray[np.int32],
+) -> None:  # fmt: skip
     for r in range(image.shape[0]):
         for c in range(image.shape[1]):
             b, g, d = np.int32(image[r, c, 0]), np.int32(image[r, c, 1]), np.int32(image[r, c, 2])
             level = (29 * b + 150 * g + 77 * d) >> 8
-            strength = colour[level]
-            bright = noise[r, c, 0] * grey[level]
+            kind = np.int32(vehicles[r, c])
+            strength = colour[kind, level]
+            bright = noise[r, c, 0] * grey[kind, level]
             red, blue = noise[r, c, 1] * strength, noise[r, c, 2] * strength
             # From brightness and colour differences back to the three colours, with a half for rounding.
             b += (bright + 1.77 * blue + 2048) // 4096

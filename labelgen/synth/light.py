@@ -57,6 +57,7 @@ class Light:
         contrast: steepness of the camera's curve around middle grey.
         lift: grey level, 0 to 1, to which black is raised.
         tone: pairs of grey levels, rising: what the camera makes of what the curve gives; straight when empty.
+        balance: factors of red, green and blue after all of that: the tint of the whole picture.
     """
 
     weather: Weather
@@ -75,6 +76,7 @@ class Light:
     contrast: float = 1.0
     lift: float = 0.0
     tone: tuple[tuple[float, float], ...] = ()
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @property
     def ambient(self) -> NDArray[np.float64]:
@@ -93,13 +95,13 @@ class Light:
 
     @cached_property
     def curve(self) -> NDArray[np.float32]:
-        """Linear light, 0 to 4 in steps of 1 / `CURVE_STEPS`, to 0-255: a camera's gamma with a soft shoulder."""
+        """(3, 4 * `CURVE_STEPS` + 2) linear red, green and blue, 0 to 4, to 0-255: a gamma with a soft shoulder."""
         value = np.arange(4 * CURVE_STEPS + 2) / CURVE_STEPS
         value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value) ** (1 / 2.2)
         middle = 0.45
         steep = middle + self.contrast * (value - middle)
         levels = 255 * (self.lift + (1 - self.lift) * steep.clip(0, 1))
-        return np.asarray(self.toned(levels), dtype=np.float32)
+        return np.asarray(np.outer(self.balance, self.toned(levels)).clip(0, 255), dtype=np.float32)
 
     def toned(self, levels: Any) -> NDArray[np.float64]:
         """Grey levels after `tone`."""
@@ -131,7 +133,7 @@ class Light:
             grey = exposed @ LUMA
             exposed = grey[..., None] + np.float32(self.saturation) * (exposed - grey[..., None])
         at = (np.clip(exposed, 0, 4) * CURVE_STEPS).astype(np.int32)
-        return np.asarray(self.curve[at])
+        return np.asarray(self.curve[np.arange(3), at])
 
     def packed(self) -> NDArray[np.float64]:
         """(23,) as `raster.shade` takes it."""
@@ -142,8 +144,8 @@ class Light:
 
 _RECIPES: dict[Weather, dict[str, Any]] = {
     Weather.DAY: {
-        "height": (30, 60), "sun": (1.24, 1.19, 1.10), "low": (0.34, 0.38, 0.44),
-        "high": (0.075, 0.10, 0.155), "horizon": (0.05, 0.06, 0.045), "road": (0.15, 0.148, 0.143),
+        "height": (30, 60), "sun": (1.22, 1.19, 1.13), "low": (0.36, 0.385, 0.425),
+        "high": (0.086, 0.10, 0.13), "horizon": (0.05, 0.06, 0.045), "road": (0.15, 0.148, 0.143),
         "exposure": 1.2, "noise": 1.5, "shutter": 1 / 800,
     },
     Weather.OVERCAST: {
@@ -238,16 +240,17 @@ def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     azimuth = np.arctan2(y, x)
     climb = np.sqrt(np.clip(z, 0, 1))[..., None]
     out = light.sky_low + (light.sky_high - light.sky_low) * climb
-    # Clouds: bright patches under a clear sky, darker ones under a grey one.
+    # Clouds: wide bright patches under a clear sky, hardly darker ones under a grey one; what mirrors them is bowed and
+    # a few pixels large, so that finer ones would look like dirt on it.
     with np.errstate(divide="ignore"):
         flat_x, flat_y = x / np.maximum(z, 0.08), y / np.maximum(z, 0.08)
     puffs = np.zeros_like(z)
-    for scale in (0.9, 1.9, 4.1, 8.7):
+    for scale in (0.7, 1.5):
         a, b, c = rng.uniform(0, 2 * np.pi, 3)
         puffs += np.sin(scale * flat_x + a + np.sin(scale * flat_y + b)) * np.cos(scale * flat_y + c) / scale**0.5
-    cloud = np.clip(2.2 * (puffs - rng.uniform(-0.3, 1.1)), 0, 1)[..., None]
+    cloud = (1 / (1 + np.exp(-2.5 * (puffs - rng.uniform(0.0, 1.2)))))[..., None]
     white = 0.45 * (light.sun + light.ambient) if light.sun.max() > 0.3 else 0.62 * light.sky_high
-    out = out + (white - out) * cloud * 0.8
+    out = out + (white - out) * cloud * 0.5
     if light.sun.max() > 0.3:  # air is bright around the sun
         off = 1 - (x * light.sun_direction[0] + y * light.sun_direction[1] + z * light.sun_direction[2])[..., None]
         out = out + light.sun * (0.55 * np.exp(-off / 0.02) + 0.14 * np.exp(-off / 0.15))

@@ -22,11 +22,13 @@ __all__ = [
     "fit_to_road",
     "fit_to_shadows",
     "fit_to_tones",
-    "footage_tones",
+    "footage_parts",
     "tones_of",
 ]
 
 _LEAST_SIDE, _PER_VEHICLE, _FEWEST = 20, 500, 6
+_PALE, _NEARLY_GREY, _FEWEST_PX = 140, 45, 40
+_MOST_COLOUR, _CALM, _BRIGHT = 1.8, 0.7, 190.0
 _PERCENTILES = (4.0, 50.0, 98.5)
 _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
@@ -34,6 +36,7 @@ _STEEPEST = 1.9
 _LEAST_SKY, _SEEN_SKY = 0.08, 0.65
 _OFF_EDGES, _SHARPEST_PX = 0.6, 0.3
 """How far sharpening that suits vehicles may lie from what edges show."""
+_MOST_COARSER = 1.7
 
 Mask = NDArray[np.bool_]
 
@@ -92,13 +95,16 @@ class Tones:
 
     Args:
         grey: levels at `_PERCENTILES`.
-        colour: how far from grey the most colourful tenth is, grey levels.
+        colour: how far the most colourful twentieth of a vehicle is from its usual colour, grey levels; of vehicles
+            the middle one. Lamps and plates decide, which all have: what colours drive by is chance.
+        cast: (2,) by how much blue and red exceed green on pale grey panels, grey levels; zeros where none are seen.
         fine: contrast of details of about a pixel, as a share of that of details of a few pixels.
         vehicles: how many there were.
     """
 
     grey: tuple[float, ...]
     colour: float
+    cast: tuple[float, ...]
     fine: float
     vehicles: int
 
@@ -113,11 +119,26 @@ def tones_of(parts: Sequence[Part]) -> Tones | None:
         return None
     pixels = [image[mask] for image, mask in parts]
     picked = np.concatenate([p[np.linspace(0, len(p) - 1, _PER_VEHICLE).astype(int)] for p in pixels])
-    planes = cv2.cvtColor(picked[None], cv2.COLOR_BGR2YCrCb)[0].astype(np.float64)
-    grey = tuple(np.percentile(planes[:, 0], _PERCENTILES).tolist())
-    strength = np.hypot(planes[:, 1] - 128, planes[:, 2] - 128)
+    grey = tuple(np.percentile(cv2.cvtColor(picked[None], cv2.COLOR_BGR2GRAY), _PERCENTILES).tolist())
+    colour = float(np.median([_colour(p) for p in pixels]))
+    casts = [cast for cast in map(_cast, pixels) if cast is not None]
+    cast = tuple(np.median(casts, axis=0).tolist()) if len(casts) >= _FEWEST else (0.0, 0.0)
     fine = float(np.median([_fine(image, mask) for image, mask in parts]))
-    return Tones(grey, float(np.percentile(strength, 90)), fine, len(parts))
+    return Tones(grey, colour, cast, fine, len(parts))
+
+
+def _colour(pixels: NDArray[np.uint8]) -> float:
+    chroma = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2YCrCb)[0, :, 1:].astype(np.float64)
+    return float(np.percentile(np.hypot(*(chroma - np.median(chroma, axis=0)).T), 95))
+
+
+def _cast(pixels: NDArray[np.uint8]) -> NDArray[np.float64] | None:
+    """Blue and red less green where a vehicle is pale; None where it is dark or coloured."""
+    levels = pixels.astype(np.float64)
+    pale = levels[(levels.min(axis=1) > _PALE) & (np.ptp(levels, axis=1) < _NEARLY_GREY) & (levels.max(axis=1) < 250)]
+    if len(pale) < max(_FEWEST_PX, 0.1 * len(levels)):
+        return None
+    return np.asarray((pale[:, [0, 2]] - pale[:, 1:2]).mean(axis=0))
 
 
 def _fine(image: NDArray[np.uint8], mask: Mask) -> float:
@@ -126,15 +147,20 @@ def _fine(image: NDArray[np.uint8], mask: Mask) -> float:
     return float(np.abs(grey - soft)[mask].mean() / max(float(np.abs(soft - softer)[mask].mean()), 0.1))
 
 
-def footage_tones(footage: Footage, road: Mask, shadows: Shadows) -> Tones | None:
-    """The tones of a video's vehicles, as far as they differ from the road; None for too few."""
-    return tones_of(list(_footage_parts(footage, road, shadows)))
+def footage_parts(
+    footage: Footage, road: Mask, shadows: Shadows, known: Sequence[Mask] | None = None
+) -> Iterator[Part]:
+    """A video's vehicles, as far as they differ from the road.
 
-
-def _footage_parts(footage: Footage, road: Mask, shadows: Shadows) -> Iterator[Part]:
+    Args:
+        footage: of the video.
+        road: (H, W) where to look.
+        shadows: of its vehicles, which are left out.
+        known: (H, W) for each look, where vehicles are; to be found out when None.
+    """
     empty = cv2.cvtColor(footage.empty, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1
-    for look in footage.looks:
-        change = footage.changed(look) & road
+    for number, look in enumerate(footage.looks):
+        change = footage.changed(look) & (road if known is None else road & known[number])
         if shadows.sunny:
             assert shadows.left is not None
             ratio = (cv2.cvtColor(look, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1) / empty
@@ -167,13 +193,23 @@ def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:
     dark = float(np.clip(to_low - low * slope, 0, to_low))
     bright = float(np.clip(to_high + (255 - high) * slope, to_high, 255))
     tone = ((0.0, dark), (low, to_low), (middle, to_middle), (high, to_high), (255.0, bright))
-    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.9, 0.4, 1.6))
+    colour = float(np.clip((real.colour / max(drawn.colour, 1.0)) ** 0.6, 0.4, 1.6))
+    saturation = float(min(light.saturation * colour, _MOST_COLOUR))
     levels = np.linspace(0, 255, 18)
     before = light.toned(levels)
     rising = np.array(_rising(tone))
     after = np.interp(before, rising[:, 0], rising[:, 1])
     pairs = tuple(zip(levels.tolist(), after.tolist(), strict=True))
-    return replace(light, tone=pairs, saturation=light.saturation * colour)
+    return _balanced(replace(light, tone=pairs, saturation=saturation), real, drawn)
+
+
+def _balanced(light: Light, real: Tones, drawn: Tones) -> Light:
+    """The light through a camera that gives pale panels the tint that they have in the video."""
+    if not any(real.cast) or not any(drawn.cast):
+        return light
+    blue, red = (1 + _CALM * (want - got) / _BRIGHT for want, got in zip(real.cast, drawn.cast, strict=True))
+    factors = np.array(light.balance) * [red, 1.0, blue]
+    return replace(light, balance=tuple((factors / factors.mean()).clip(0.85, 1.15).tolist()))
 
 
 def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) -> Sensor:
@@ -188,7 +224,11 @@ def fit_to_details(sensor: Sensor, measured: Sensor, real: Tones, drawn: Tones) 
     low, high = max(0.0, measured.sharpen - _OFF_EDGES), measured.sharpen + _OFF_EDGES
     # Where halos would grow too strong, the lens must be sharper.
     blur = _SHARPEST_PX if wanted > high + _OFF_EDGES else measured.blur_px
-    return replace(sensor, blur_px=blur, sharpen=float(np.clip(wanted, low, high)))
+    # What then is still missing are the dots that an old recorder's rounding leaves.
+    coarser = float(np.clip((1 + wanted) / (1 + high), 1.0, _MOST_COARSER))
+    return replace(
+        sensor, blur_px=blur, sharpen=float(np.clip(wanted, low, high)), block_step=measured.block_step * coarser
+    )
 
 
 def _rising(tone: Any) -> tuple[tuple[float, float], ...]:

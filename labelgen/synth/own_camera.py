@@ -18,16 +18,16 @@ from labelgen.synth.footage import Footage, read_footage
 from labelgen.synth.lane_fit import find_lanes
 from labelgen.synth.light import Light, Weather, make_light
 from labelgen.synth.light_fit import (
-    Part,
     Tones,
     fit_to_details,
     fit_to_road,
     fit_to_shadows,
     fit_to_tones,
-    footage_tones,
+    footage_parts,
     tones_of,
 )
-from labelgen.synth.render import Placed, Renderer
+from labelgen.synth.panel_fit import fit_to_panels
+from labelgen.synth.render import Placed, Renderer, covered_by
 from labelgen.synth.scenes import FARTHEST_M, Lane, Scene, line_through, visible_range
 from labelgen.synth.sensor import Sensor
 from labelgen.synth.sensor_fit import fit_sensor
@@ -38,9 +38,8 @@ __all__ = ["OwnCamera", "load_own_camera"]
 
 _DEPTH_M = 60.0
 _LEAST_SEEN_M = 8.0
-_TRY_FRAMES, _TRY_EVERY_S, _TRY_SEED = 24, 2.0, 4
-_LEAST_SIDE = 24
-_ROUNDS = 2
+_TRY_FRAMES, _TRY_EVERY_S, _TRY_SEED, _TRY_TRAFFIC = 24, 2.0, 4, 16.0
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +72,7 @@ def load_own_camera(
     heading: int | None = None,
     weather: Weather | None = None,
     sun: tuple[float, float] | None = None,
+    plates: str | None = None,
 ) -> OwnCamera:
     """Everything that putting traffic into somebody's own video takes.
 
@@ -86,6 +86,7 @@ def load_own_camera(
         weather: kind of light; by the shadows when None.
         sun: degrees, its height above the horizon and how far right of straight ahead it stands; by the shadows when
             None.
+        plates: family of number plates of the vehicles by which colours are fitted; any when None.
 
     Raises:
         DataError: the video, its calibration or its road mask is missing, damaged or of another size.
@@ -110,9 +111,12 @@ def load_own_camera(
     weather = weather or (Weather.DAY if shadows.sunny else Weather.OVERCAST)
     sensor = fit_sensor(footage)
     light = fit_to_shadows(fit_to_road(make_light(weather, rng), footage.empty, road), shadows)
-    real = footage_tones(footage, road, shadows)
+    vehicles = list(footage_parts(footage, road, shadows))
+    assert sensor.grain is not None
+    sensor = replace(sensor, grain=fit_to_panels(sensor.grain, vehicles))
+    real = tones_of(vehicles)
     if real is not None:
-        light, sensor = _fit_to_vehicles(light, sensor, real, scene, shadows)
+        light, sensor = _fit_to_vehicles(light, sensor, real, scene, shadows, footage, plates)
     return OwnCamera(scene, light, sensor, footage.fps, _words(footage, scene, light, sensor, shadows, real))
 
 
@@ -146,11 +150,17 @@ def _scene(
     return Scene(name, camera, lanes, along, across, road, empty, (-25.0, reach))
 
 
-def _fit_to_vehicles(light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows) -> tuple[Light, Sensor]:
+def _fit_to_vehicles(
+    light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows, footage: Footage,
+    plates: str | None,
+) -> tuple[Light, Sensor]:  # fmt: skip
     """Light and sensor with which drawn vehicles have the tones and details of real ones."""
     measured = sensor
+    traffic = _some_traffic(scene, light, plates)
     for _ in range(_ROUNDS):
-        drawn = tones_of(_drawn_parts(scene, light, sensor))
+        # Looked at as the video is, so that what is taken for a vehicle is the same.
+        looks, known = _drawn_looks(scene, light, sensor, traffic)
+        drawn = tones_of(list(footage_parts(replace(footage, looks=looks), scene.road_mask, shadows, known)))
         if drawn is None:
             break
         sensor = fit_to_details(sensor, measured, real, drawn)
@@ -159,33 +169,34 @@ def _fit_to_vehicles(light: Light, sensor: Sensor, real: Tones, scene: Scene, sh
     return light, sensor
 
 
-def _drawn_parts(scene: Scene, light: Light, sensor: Sensor) -> list[Part]:
-    """Vehicles drawn into the scene."""
-    import cv2
+def _some_traffic(scene: Scene, light: Light, plates: str | None) -> list[list[Placed]]:
+    """What drives in the scene at several times."""
+    trips = random_traffic(scene, _TRY_FRAMES * _TRY_EVERY_S, _TRY_SEED, per_minute=_TRY_TRAFFIC)
+    moments: list[list[Placed]] = [[] for _ in range(_TRY_FRAMES)]
+    for trip in trips:
+        first, last = trip.span_s((0.0, _DEPTH_M))
+        times = [k for k in range(_TRY_FRAMES) if first <= k * _TRY_EVERY_S <= last]
+        if times and trip.kind != "motorcycle":
+            vehicle = trip.vehicle(lamps=light.lamps, plates=plates)
+            for k in times:
+                centre = trip.near_point(k * _TRY_EVERY_S) + np.array([trip.size_lwh[0] / 2, 0.0])
+                speed = trip.speed_ms(k * _TRY_EVERY_S)
+                moments[k].append(Placed(trip.track_id, vehicle, centre, trip.lane.heading, speed))
+    return moments
 
+
+def _drawn_looks(
+    scene: Scene, light: Light, sensor: Sensor, traffic: list[list[Placed]]
+) -> tuple[NDArray[np.uint8], list[NDArray[np.bool_]]]:
+    """(K, H, W, 3) BGR, traffic drawn into the scene, and for each look (H, W) where vehicles are."""
     assert scene.background is not None
     renderer = Renderer(scene.camera, scene.background, light, seed=0, sensor=sensor)
-    length_s = _TRY_FRAMES * _TRY_EVERY_S
-    trips = [t for t in random_traffic(scene, length_s, _TRY_SEED, per_minute=10.0) if t.kind != "motorcycle"]
-    parts = []
-    for number in range(_TRY_FRAMES):
-        time_s = number * _TRY_EVERY_S
-        placed = []
-        for trip in trips:
-            first, last = trip.span_s((0.0, _DEPTH_M))
-            if first <= time_s <= last:
-                vehicle = trip.vehicle(lamps=light.lamps)
-                centre = trip.near_point(time_s) + np.array([trip.size_lwh[0] / 2, 0.0])
-                placed.append(Placed(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s)))
-        image, drawn = renderer.frame(placed, number=number)
-        renderer.forget({p.track_id for p in placed})
-        for vehicle_drawn in drawn:
-            h, w = vehicle_drawn.mask.shape
-            x, y = vehicle_drawn.origin_px
-            inner = cv2.erode(vehicle_drawn.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-            if min(h, w) >= _LEAST_SIDE and np.count_nonzero(inner) > 0.3 * h * w:
-                parts.append((image[y : y + h, x : x + w], inner))
-    return parts
+    looks, known = [], []
+    for number, placed in enumerate(traffic):
+        look, drawn = renderer.frame(placed, number=number)
+        looks.append(look)
+        known.append(covered_by(drawn, look.shape[:2]))
+    return np.stack(looks), known
 
 
 def _words(

@@ -40,7 +40,7 @@ def draw_skin(
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
         skin.fill(chart, paint, PAINT)
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
-    skin.fill(Chart.MIRROR, dim(paint, 0.7) if rng.random() < 0.6 else TRIM, PAINT)
+    skin.fill(Chart.MIRROR, dim(paint, 0.8) if rng.random() < 0.75 else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_front(skin, shape, paint, style, rng, lamps)
@@ -67,7 +67,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
     )
     skin.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
     skin.bow(Chart.SIDE, [(0, 0), (end, 0), (end, shape.belt), (0, shape.belt)], (0.03, 0.5))
-    skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.6, 0.12)
+    skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.65, 0.18)
     sill = shape.clearance + 0.05 + style.cladding
     skin.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
     if style.dark_bumpers:
@@ -114,7 +114,8 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
         return
     outline = np.concatenate([np.stack([d, z - frame], 1)[inside], [[d[inside][-1], sill], [d[inside][0], sill]]])
     if style.chrome:
-        skin.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), CHROME_TONE, CHROME, 0.035)
+        # As a bright tone: materials do not mix, and a mirroring line thinner than a pixel would be drawn in dashes.
+        skin.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), CHROME_TONE, LAMP, 0.035)
     skin.polygon(Chart.SIDE, outline, BLACK, GLASS)
     inner = outline + np.where(outline[:, 1:] > sill, [[0, -0.025]], [[0, 0.012]])
     skin.polygon(Chart.SIDE, inner, style.rear_glass, GLASS)
@@ -200,7 +201,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
     if style.rails:
-        rail = (BLACK, MATTE) if style.rails == 1 else (CHROME_TONE, CHROME)
+        rail = (BLACK, MATTE) if style.rails == 1 else (CHROME_TONE, LAMP)
         for y in (edge, -edge):
             skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
     elif shape.kind != "bus" and shape.cargo is None:
@@ -214,7 +215,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         skin.polygon(Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.008, 0.009, 0.009), GLASS)
     if shape.kind == "van":
         for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
-            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.12, -edge), (d + 0.12, edge), (d, edge)], 0.012)
+            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.12, -edge), (d + 0.12, edge), (d, edge)], 0.006)
     if rng.random() < 0.6 and shape.cargo is None:
         d = roof[1] - 0.05
         skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)

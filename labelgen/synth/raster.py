@@ -104,10 +104,10 @@ def _environment(x: float, y: float, z: float, around: _F) -> tuple[float, float
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _curve(value: float, curve: _F) -> float:
+def _curve(value: float, curve: _F, colour: int) -> float:
     at = min(max(value, 0.0), 4.0) * 1024
     low = int(at)
-    return float(curve[low] + (at - low) * (curve[low + 1] - curve[low]))
+    return float(curve[colour, low] + (at - low) * (curve[colour, low + 1] - curve[colour, low]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -339,9 +339,9 @@ def shade(
             green = green * pose[4] + (1 - pose[4]) * n * light[20] * exposure
             blue = blue * pose[4] + (1 - pose[4]) * n * light[21] * exposure
             grey, colourful = 0.30 * red + 0.59 * green + 0.11 * blue, light[22]
-            out[r, col, 0] = _curve((grey + colourful * (blue - grey)) / n, curve) * alpha
-            out[r, col, 1] = _curve((grey + colourful * (green - grey)) / n, curve) * alpha
-            out[r, col, 2] = _curve((grey + colourful * (red - grey)) / n, curve) * alpha
+            out[r, col, 0] = _curve((grey + colourful * (blue - grey)) / n, curve, 2) * alpha
+            out[r, col, 1] = _curve((grey + colourful * (green - grey)) / n, curve, 1) * alpha
+            out[r, col, 2] = _curve((grey + colourful * (red - grey)) / n, curve, 0) * alpha
             out[r, col, 3] = alpha
     return out
 
@@ -369,13 +369,14 @@ def lay_over(part: _F, layer: _F, hidden: _F) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def darken(part: _F, left: _F, cover: _F) -> None:
+def darken(part: _F, left: _F, cover: _F, colours: _F) -> None:
     """Multiply a part of a frame by a shadow of half its size, in place.
 
     Args:
         part: (H, W, 3) uint8 BGR.
         left: (h, w) uint8, share of the grey levels that is left, 255 for all; stretched over the part.
         cover: (H, W) uint8, 255 where something stands before the shadow; (0, 0) for nothing anywhere.
+        colours: (256, 3) what is left of each colour, by what is left of the grey levels.
     """
     height, width = part.shape[0], part.shape[1]
     step_r, step_c = left.shape[0] / height, left.shape[1] / width
@@ -393,5 +394,6 @@ def darken(part: _F, left: _F, cover: _F) -> None:
             value = top * (1 - fr) + (left[r1, c0] * (1 - fc) + left[r1, c1] * fc) * fr
             if cover.shape[0] > 0:
                 value = max(value, cover[r, col])
+            step = int(value + 0.5)
             for k in range(3):
-                part[r, col, k] = part[r, col, k] * value / 255.0 + 0.5
+                part[r, col, k] = part[r, col, k] * colours[step, k] + 0.5

@@ -16,16 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
+from labelgen.synth.blocks import coarse_blocks
 from labelgen.synth.glints import Stars
 from labelgen.synth.light import Light
 from labelgen.synth.mesh import Mesh
 from labelgen.synth.raster import darken, lay_over, shade, visible_triangles
 from labelgen.synth.sensor import PLAIN, Sensor
-from labelgen.synth.shadow import GroundShadow, ground_shadow
+from labelgen.synth.shadow import GroundShadow, ground_shadow, shadow_colours
 from labelgen.synth.still import NO_SHADE, Still
 from labelgen.synth.vehicles import Vehicle
 
-__all__ = ["Drawn", "Placed", "Renderer", "painting_order"]
+__all__ = ["Drawn", "Placed", "Renderer", "covered_by", "painting_order"]
 
 _MIN_DEPTH = 1.0
 _MARGIN = 8
@@ -86,6 +87,15 @@ class Drawn:
     outline_xyxy: NDArray[np.float64]
 
 
+def covered_by(drawn: Sequence[Drawn], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(H, W) where a frame of this height and width shows vehicles."""
+    out = np.zeros(size_hw, dtype=np.bool_)
+    for vehicle in drawn:
+        (x, y), (h, w) = vehicle.origin_px, vehicle.mask.shape
+        out[y : y + h, x : x + w] |= vehicle.mask
+    return out
+
+
 def painting_order(vehicles: Sequence[Placed]) -> list[int]:
     """Indices from back to front, for a camera above X = 0, Y = 0."""
 
@@ -142,6 +152,7 @@ class Renderer:
         self._road = sensor.unsharpened(background) if sensor.in_picture else background
         self._packed = light.packed()
         self._shadows: dict[int, GroundShadow] = {}
+        self._shadow_colours = shadow_colours(light)
         self._rng = np.random.default_rng([seed, 77])
         height, width = background.shape[:2]
         self.size_wh = (width, height)
@@ -180,7 +191,7 @@ class Renderer:
         layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
         drawn = _visible_parts(layers)
         image = self._into_picture(image) if self.sensor.in_picture else self.sensor.before_noise(image)
-        self._add_noise(image, number)
+        self._add_noise(image, number, drawn)
         self.sensor.write(image, time_s)
         return image, drawn
 
@@ -217,8 +228,8 @@ class Renderer:
         if window is None:
             return
         x0, y0, x1, y1 = window
-        # Shadows are soft: half the resolution does, save for small ones.
-        part = 1 if min(x1 - x0, y1 - y0) < _SMALL_SHADOW_PX else 2
+        # Shadows are soft: half the resolution does, save for small ones, and beside real ones.
+        part = 1 if self.sensor.in_picture or min(x1 - x0, y1 - y0) < _SMALL_SHADOW_PX else 2
         half = (max((x1 - x0) // part, 1), max((y1 - y0) // part, 1))
         to_half = np.array(half) / (x1 - x0, y1 - y0)
         # Far away a pixel spans many cells; the map's columns run along the road, which is upright in the picture.
@@ -236,7 +247,7 @@ class Renderer:
             left = cv2.addWeighted(left, clear, left, 0.0, 255 * (1 - clear))
         # The shadow lies on the road, behind what stands before it.
         cover = _NOTHING if self.still is None else self.still.cover[y0:y1, x0:x1]
-        darken(image[y0:y1, x0:x1], left, cover)
+        darken(image[y0:y1, x0:x1], left, cover, self._shadow_colours)
 
     def _clear(self, placed: Placed) -> float:
         """Share of the light that passes the air between the vehicle and the camera."""
@@ -324,14 +335,17 @@ class Renderer:
         rows = np.flatnonzero((image != self._road).any(axis=(1, 2)))
         if len(rows):
             band = slice(max(0, int(rows[0]) - _MARGIN), int(rows[-1]) + _MARGIN)
-            change: Any = cv2.subtract(image[band], self._road[band], dtype=cv2.CV_32F)
+            coded = image[band]
+            if self.sensor.block_step:
+                coded = coarse_blocks(coded, (coded != self._road[band]).any(axis=2), self.sensor.block_step)
+            change: Any = cv2.subtract(coded, self._road[band], dtype=cv2.CV_32F)
             change = self.sensor.sharpened(change, self.size_wh[0])
             cv2.add(out[band], change, dst=out[band], dtype=cv2.CV_8U)
         return out
 
-    def _add_noise(self, image: NDArray[np.uint8], number: int) -> None:
+    def _add_noise(self, image: NDArray[np.uint8], number: int, drawn: Sequence[Drawn]) -> None:
         if self.sensor.grain is not None:
-            self.sensor.grain.add(image, self._noise, number)
+            self.sensor.grain.add(image, self._noise, number, covered_by(drawn, image.shape[:2]))
             return
         width, height = self.size_wh
         rng = np.random.default_rng([number, 5])

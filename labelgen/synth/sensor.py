@@ -61,6 +61,8 @@ class Sensor:
         blur_px: sigma of the lens's blur.
         grain: noise by brightness; None for the even noise of `Light`.
         in_picture: whether the picture of the empty road comes from this camera and has its faults already.
+        block_step: how coarsely an old recorder rounds the blocks that vehicles drive through, see `coarse_blocks`; 0
+            for not at all. Only with `in_picture`.
     """
 
     lines: float = 1.0
@@ -74,6 +76,7 @@ class Sensor:
     blur_px: float = 0.5
     grain: Grain | None = None
     in_picture: bool = False
+    block_step: float = 0.0
 
     def before_noise(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it.

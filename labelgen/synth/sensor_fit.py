@@ -8,6 +8,7 @@ even, unchanged parts of the scene show in addition to the empty road.
 from __future__ import annotations
 
 import tempfile
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.synth.blocks import BLOCKY_CODECS
 from labelgen.synth.footage import CHANGED, Footage, usual_packet
 from labelgen.synth.grain import Grain
 from labelgen.synth.sensor import HALO_PX, Sensor
 from labelgen.synth.video import VideoWriter
 
-__all__ = ["edge_profile", "fit_edges", "fit_sensor", "measure_grain", "quality_of"]
+__all__ = ["block_step_of", "edge_profile", "fit_edges", "fit_sensor", "measure_grain", "quality_of"]
 
 _LEVELS = np.linspace(0, 255, 9)
 _FEWEST_PX = 400
@@ -31,7 +33,7 @@ _LEAST_CONTRAST, _PLATEAU_PX = 36.0, 2.5
 _BLURS, _SHARPENS = np.arange(0.3, 2.6, 0.1), np.arange(0.0, 2.3, 0.15)
 _WIDEST_SMEAR_PX = 8.0
 _USUAL_CRF, _CRFS = 20, (16, 23, 30)
-_ROUNDS, _MOST_GAIN = 2, 1.6
+_QUANTISERS = (2, 5, 12, 31)
 
 Plane = NDArray[np.float32]
 
@@ -49,10 +51,12 @@ def fit_sensor(footage: Footage) -> Sensor:
     crf = _USUAL_CRF
     if footage.packet_bytes is not None:
         crf = quality_of(footage.raw[:32], footage.fps, footage.packet_bytes)
-    sensor = Sensor(
-        sharpen=sharpen, smear=smear, crf=crf, arms=0.006, grain=grain, blur_px=blur, in_picture=True,
+    step = 0.0
+    if footage.packet_bytes is not None and footage.codec in BLOCKY_CODECS:
+        step = block_step_of(footage.raw[:32], footage.fps, footage.packet_bytes)
+    return Sensor(
+        sharpen=sharpen, smear=smear, crf=crf, arms=0.006, grain=grain, blur_px=blur, in_picture=True, block_step=step,
     )  # fmt: skip
-    return _through_encoder(sensor, footage)
 
 
 def measure_grain(looks: NDArray[np.uint8], empty: NDArray[np.uint8], flat: NDArray[np.bool_]) -> Grain:
@@ -238,38 +242,32 @@ def quality_of(frames: NDArray[np.uint8], fps: float, packet_bytes: float) -> in
         for crf in _CRFS:
             path = Path(folder) / f"{crf}.avi"
             # Video cameras and platforms encode with more care than a renderer in a hurry, so fewer bytes do as well.
-            _encode(path, frames, fps, crf, "medium")
+            with VideoWriter(path, fps, (frames.shape[2], frames.shape[1]), crf, preset="medium") as writer:
+                for frame in frames:
+                    writer.write(frame)
             sizes.append(usual_packet(path) or 1.0)
     # Bytes fall evenly on a logarithmic scale.
     return round(float(np.interp(-np.log(packet_bytes), -np.log(sizes), _CRFS)))
 
 
-def _encode(path: Path, frames: Any, fps: float, crf: int, preset: str = "superfast") -> None:
-    with VideoWriter(path, fps, (frames[0].shape[1], frames[0].shape[0]), crf, preset=preset) as writer:
-        for frame in frames:
-            writer.write(frame)
+def block_step_of(frames: NDArray[np.uint8], fps: float, packet_bytes: float) -> float:
+    """The grey levels to whose multiples an old recorder rounded, from how many bytes a frame takes; see `quality_of`.
 
+    MPEG-4's quantiser q rounds to multiples of 2 q.
+    """
+    import av
 
-def _through_encoder(sensor: Sensor, footage: Footage) -> Sensor:
-    """The sensor with noise strong enough to come out of the encoder as strong as it was measured."""
-    from dataclasses import replace
-
-    from labelgen.sources.frames import open_frames
-
-    wanted = sensor.grain
-    assert wanted is not None
-    now = wanted
-    for _ in range(_ROUNDS):
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "noise.avi"
-            tile = now.tile((footage.empty.shape[1], footage.empty.shape[0]), np.random.default_rng(0))
-            frames = []
-            for number in range(24):
-                frame = footage.empty.copy()
-                now.add(frame, tile, number)
-                frames.append(frame)
-            _encode(path, frames, footage.fps, sensor.crf)
-            seen = np.stack([f.image for f in open_frames(path).frames()])
-        left = measure_grain(seen, np.median(seen, axis=0).astype(np.uint8), footage.flat)
-        now = now.scaled_to(wanted, left, _MOST_GAIN)
-    return replace(sensor, grain=now)
+    sizes = []
+    with tempfile.TemporaryDirectory() as folder:
+        for quantiser in _QUANTISERS:
+            path = Path(folder) / f"{quantiser}.avi"
+            with av.open(str(path), "w", format="avi") as container:
+                stream: Any = container.add_stream("mpeg4", rate=Fraction(fps).limit_denominator(1001))
+                stream.height, stream.width = frames.shape[1:3]
+                stream.pix_fmt = "yuv420p"
+                stream.codec_context.qmin = stream.codec_context.qmax = quantiser
+                for frame in frames:
+                    container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="bgr24")))
+                container.mux(stream.encode(None))
+            sizes.append(usual_packet(path) or 1.0)
+    return round(2 * float(np.exp(np.interp(-np.log(packet_bytes), -np.log(sizes), np.log(_QUANTISERS)))), 1)

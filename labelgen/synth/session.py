@@ -126,8 +126,9 @@ def write_session(
         if replay:
             raise OutputError(f"--replay: {scene} has no recorded traffic (gt_data.pkl) to re-enact; leave it out")
         setting = _own(
-            scene, weather, seed, out, say, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun
-        )
+            scene, weather, seed, out, say, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
+            plates=plates,
+        )  # fmt: skip
     fps = fps or setting.fps
     if replay and setting.surveyed is not None:
         from labelgen.synth.replay import replayed_traffic

@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from labelgen.synth.light import Light
 from labelgen.synth.vehicles import Vehicle
 
-__all__ = ["GroundShadow", "ground_shadow"]
+__all__ = ["GroundShadow", "ground_shadow", "shadow_colours"]
 
 _CELL = 0.04
 _SKY_DIRECTIONS = 24
+_PENUMBRA_M = 0.025
+"""Sigma of the blur of the sun's shadow: half a degree of sun from a metre or two above."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ class GroundShadow:
 
 
 def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
-    """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less."""
+    """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less; mirrors."""
     points = _with_points_on_long_edges(vehicle)
     length = vehicle.size_lwh[0]
     edges = np.linspace(-length / 2, length / 2, 7)
@@ -46,7 +48,10 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
         piece = points[(points[:, 0] >= low - 0.2) & (points[:, 0] <= high + 0.2)]
         if len(piece) > 3:
             pieces.append(piece)
-    return pieces or [points]
+    mesh = vehicle.mesh
+    beside = mesh.vertices[np.unique(mesh.triangles[len(mesh.body) :])]
+    mirrors = [beside[beside[:, 1] * side > 0] for side in (1, -1)]
+    return (pieces or [points]) + [mirror for mirror in mirrors if len(mirror) > 3]
 
 
 def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -93,7 +98,7 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
     left = cv2.GaussianBlur(left, (0, 0), 0.07 / _CELL)
     if sun_share > 0.02:
         direction = np.array([sun[0], sun[1], max(sun[2], 0.15)])
-        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), 0.05 / _CELL)
+        lit = cv2.GaussianBlur(255 - cast(direction), (0, 0), _PENUMBRA_M / _CELL)
         left += sun_share * lit.astype(np.float32) / 255
     else:
         left += sun_share
@@ -113,3 +118,20 @@ def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
         [[_CELL, 0, x * _CELL - half[0] + _CELL / 2], [0, _CELL, y * _CELL - half[1] + _CELL / 2], [0, 0, 1]]
     )
     return GroundShadow(levels[y : y + h, x : x + w].copy(), to_body)
+
+
+def shadow_colours(light: Light) -> NDArray[np.float32]:
+    """(256, 3) BGR, what a shadow leaves of each colour, by what it leaves of the grey levels: sky alone lights it."""
+    sun = light.sun * max(light.sun_direction[2], 0.0)
+    sky_share = float(light.ambient.sum() / (sun.sum() + light.ambient.sum()))
+    shares = np.linspace(0, 1, 256)
+    sunlit = np.clip((shares - sky_share) / max(1 - sky_share, 1e-6), 0, 1)[:, None]
+    dim = np.minimum(shares / sky_share, 1)[:, None]
+    colours = light.grey_levels(light.road * (light.ambient * dim + sun * sunlit))[:, ::-1]
+    left = colours / np.maximum(colours[-1], 1.0)
+    grey = np.maximum(left.mean(axis=1), 1 / 255)
+    # By grey levels rather than by light, and none of them brighter or darker on the whole.
+    steps = np.arange(256) / 255
+    at = np.interp(steps, grey, shares) * 255
+    tint = np.stack([np.interp(at, np.arange(256), left[:, k] / grey) for k in range(3)], axis=1)
+    return np.asarray((steps[:, None] * tint).clip(0, 1), dtype=np.float32)

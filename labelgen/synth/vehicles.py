@@ -25,17 +25,19 @@ __all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.64, 0.65, 0.64), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
-    ((0.14, 0.145, 0.15), 0.6, 0.19),
+    ((0.085, 0.088, 0.092), 0.6, 0.19),
     ((0.018, 0.018, 0.020), 0.3, 0.20),
     ((0.027, 0.043, 0.070), 0.5, 0.06),
     ((0.12, 0.17, 0.25), 0.6, 0.03),
-    ((0.22, 0.026, 0.026), 0.2, 0.03),
+    ((0.18, 0.031, 0.030), 0.2, 0.03),
     ((0.095, 0.016, 0.018), 0.5, 0.02),
     ((0.030, 0.062, 0.045), 0.4, 0.015),
     ((0.21, 0.19, 0.155), 0.6, 0.025),
     ((0.46, 0.27, 0.06), 0.1, 0.005),
-    ((0.50, 0.42, 0.12), 0.0, 0.005),
+    ((0.44, 0.38, 0.15), 0.0, 0.005),
 )
+
+_WHITE = 0.6
 
 # Liveries of buses, faded: white, silver, teal, grey, yellow, a dull red, a dull blue.
 _BUS_PAINTS: tuple[tuple[tuple[float, float, float], float], ...] = (
@@ -113,9 +115,11 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     mesh = body.mesh if kind == "motorcycle" else _with_mirrors(body.mesh, body.shape)
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
-    # No two greys are alike, some are bluish, some brown, some green; whites hardly differ.
+    # No two greys are alike: some are bluish, some brown, a few greenish, none lilac; whites hardly differ.
     spread = 0.006 + 0.05 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
-    red, green, blue = (np.array(body.colour) * rng.normal(1, spread, 3).clip(0.75, 1.25)).clip(0, 0.75).tolist()
+    warm, aside, fresh = rng.normal(0, spread, 3).clip(-0.2, 0.2).tolist()
+    tint = np.array([1 + warm, 1 + 0.4 * abs(fresh), 1 - warm + 0.3 * aside])
+    red, green, blue = (np.array(body.colour) * tint).clip(0, 0.75).tolist()
     colour = (red, green, blue)
     if kind == "motorcycle":
         skin = Skin(extent)
@@ -123,7 +127,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
     else:
         skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
     skin.level(0.0)  # every level now rather than in the first frame
-    paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.1, 0.5)])
+    paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.03, 0.25)])
     return Vehicle(kind, body.vehicle_class, body.size_lwh, mesh, skin, paint)
 
 
@@ -144,7 +148,10 @@ class _Body:
 
 def _body(kind: str, rng: np.random.Generator) -> _Body:
     tone, metal, _ = _PAINTS[int(rng.choice(len(_PAINTS), p=_shares()))]
-    red, green, blue = np.clip(np.array(tone) * rng.uniform(0.8, 1.15), 0, 0.75).tolist()
+    level = rng.uniform(0.8, 1.15)
+    if min(tone) > _WHITE:  # whites are all alike
+        level = 1 + 0.3 * (level - 1)
+    red, green, blue = np.clip(np.array(tone) * level, 0, 0.75).tolist()
     colour = (red, green, blue)
     if kind == "box":
         size = rng.uniform([3.6, 1.65, 1.4], [5.0, 1.95, 2.2])
