@@ -1,15 +1,16 @@
 """Reading and writing detections as JSON lines.
 
     {"format": "labelgen-detections", "version": 1, "variant": "transform3d", "frame_wh": [1920, 1080], "fps": 50.0,
-     "rectification": {"pair": "VP2-VP3", "size": [640, 360], "matrix": [[...], ...], "vpu": [x, y]}, "outlines": true}
+     "rectification": {"pair": "VP2-VP3", "size": [640, 360], "matrix": [[...], ...], "vpu": [x, y]},
+     "outlines": "body"}
     {"frame": 0, "time_s": 0.0, "boxes": [[x0, y0, x1, y1], ...], "scores": [...], "classes": [...], "cc": [...]}
     ...
 
 One line per frame, frames without detections included. Boxes lie in the rectified picture, or in the frame where
 `rectification` is null. `cc` is there for variants that decode it, `vertices` (eight points each, frame px) for all
 that have 3D boxes; a reader needs `vertices` only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may
-be left out, `time_s` may be null or left out where `fps` is given. `outlines`, false where it is left out, says whether
-the boxes end where vehicles' outlines do rather than where their true 3D boxes stand on the road.
+be left out, `time_s` may be null or left out where `fps` is given. `outlines`, null where it is left out, says of what the
+outlines are that boxes end with (`detector.stance.Outline`); null where boxes end as true 3D boxes stand on the road.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from detector.detections import Detections
+from detector.stance import Outline
 from detector.variants import Variant, View
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
@@ -50,7 +52,7 @@ def detections_head(view: View, fps: float | None) -> str:
             "matrix": rectification.matrix.tolist(),
             "vpu": rectification.vpu.tolist(),
         },
-        "outlines": view.outlines,
+        "outlines": None if view.outline is None else view.outline.value,
     }
     return json.dumps(head) + "\n"
 
@@ -63,7 +65,7 @@ class DetectionFile:
         path: the file.
         variant, frame_wh, fps: as the head says.
         rectification: that of the boxes; None where they lie in the frame.
-        outlines: whether boxes end where outlines do.
+        outline: of what the outlines are that boxes end with; None where they do not.
     """
 
     path: Path
@@ -71,7 +73,7 @@ class DetectionFile:
     frame_wh: tuple[int, int]
     fps: float | None
     rectification: Rectification | None
-    outlines: bool
+    outline: Outline | None
 
     @classmethod
     def open(cls, path: Path) -> DetectionFile:
@@ -99,18 +101,16 @@ class DetectionFile:
             if fps is not None and not (math.isfinite(fps) and fps > 0):
                 raise ValueError(f"fps {fps}")
             rectification = _rectification(head["rectification"], frame_wh)
-            outlines = head.get("outlines", False)
-            if not isinstance(outlines, bool):
-                raise ValueError(f"outlines {outlines!r}")
+            outline = None if head.get("outlines") is None else Outline(head["outlines"])
         except (KeyError, IndexError, TypeError, ValueError, AttributeError, LabelgenError) as err:
             raise DataError(f"detections {path}: its first line is damaged ({err})") from None
         if rectification is None and not variant.in_frame:
             raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
-        return cls(path, variant, frame_wh, fps, rectification, outlines)
+        return cls(path, variant, frame_wh, fps, rectification, outline)
 
     def view(self, camera: Camera) -> View:
         """The view its boxes lie in, with a camera for metres."""
-        return View(self.variant, camera, self.rectification, self.outlines)
+        return View(self.variant, camera, self.rectification, self.outline)
 
     def frames(self, view: View) -> Iterator[Detections]:
         """The detections, frame by frame.

@@ -5,11 +5,15 @@ where the tyres stand, most of a metre behind the bumper's front; from nearby an
 edge, it creeps forward while the vehicle comes nearer, and the speed is up to 2 % too high. How far behind the edge it
 lies follows from the form of the body: of common ones, at both ends, on average.
 
+Masks by a background model are another matter: they hold the dark road under the bumper as far as nearly the edge, at
+any distance, and lose a part of a pixel at their border, which is much road in the distance.
+
 Boxes that a detector has learnt from true 3D boxes end at the edge; this is for outlines.
 """
 
 from __future__ import annotations
 
+from enum import Enum
 from functools import cache
 
 import numpy as np
@@ -19,7 +23,20 @@ from labelgen.calibrate.bodies import common_bodies
 from labelgen.geometry import Camera
 from labelgen.geometry.projective import Array
 
-__all__ = ["near_end_m", "stand_at_near_end"]
+__all__ = ["Outline", "near_end_m", "stand_at_near_end"]
+
+# Medians over nine rendered sessions, docs/calibration.md: how far before the near end background masks end, and by
+# which share of the frame's width too high: half a pixel of those on which they are made.
+_SHADE_BEHIND_M, _LOST_SHARE = 0.18, 0.5 / 640
+
+
+class Outline(Enum):
+    """What outlines are of."""
+
+    BODY = "body"
+    """The vehicle's body: exact masks, and those by a network."""
+    BODY_AND_SHADE = "body and shade"
+    """The body and the dark road under it: masks by a background model."""
 
 
 def near_end_m(seen_m: ArrayLike, height_m: float) -> Array:
@@ -44,11 +61,14 @@ def near_end_m(seen_m: ArrayLike, height_m: float) -> Array:
     return out
 
 
-def stand_at_near_end(camera: Camera, points_px: Array) -> Array:
+def stand_at_near_end(camera: Camera, points_px: Array, outline: Outline = Outline.BODY) -> Array:
     """Points (N, 2) px on the lowest lines of outlines, moved along the road to the vehicles' near ends."""
-    places = camera.road_points(points_px, invalid="nan")
+    with_shade = outline is Outline.BODY_AND_SHADE
+    lost = _LOST_SHARE * camera.image_wh[0] if with_shade and camera.image_wh else 0.0
+    places = camera.road_points(points_px + np.array([0.0, lost]), invalid="nan")
     ahead = places[:, 0] > 0
-    places[ahead, 0] = near_end_m(places[ahead, 0], camera.height_m)
+    seen = places[ahead, 0]
+    places[ahead, 0] = seen - _SHADE_BEHIND_M if with_shade else near_end_m(seen, camera.height_m)
     return np.where(ahead[:, None], camera.project(places), points_px)
 
 

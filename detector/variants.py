@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from detector.detections import Detections
 from detector.sizes import CUT_PX
-from detector.stance import stand_at_near_end
+from detector.stance import Outline, stand_at_near_end
 from labelgen.errors import CalibrationError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, Region, RoadMask, decode_boxes
 from labelgen.geometry.projective import Array
@@ -87,8 +87,8 @@ class View:
         variant: the way.
         camera: with a scale and the size of its frame.
         rectification: of the frame; None where boxes lie in the frame.
-        outlines: whether boxes end where vehicles' outlines do, as those from masks, and not at the edge of a true 3D
-            box on the road: measured points are moved there (`detector.stance`), but for `orig2d`.
+        outline: of what the outlines are where boxes end with them, as those from masks, and not at the edge of a true
+            3D box on the road: measured points are moved there (`detector.stance`), but for `orig2d`. None leaves them.
 
     Raises:
         CalibrationError: the camera has no scale, or does not know its frame's size.
@@ -97,7 +97,7 @@ class View:
     variant: Variant
     camera: Camera
     rectification: Rectification | None
-    outlines: bool = False
+    outline: Outline | None = None
 
     def __post_init__(self) -> None:
         if self.camera.image_wh is None:
@@ -114,7 +114,7 @@ class View:
         pair: Pair,
         size_wh: tuple[int, int],
         *,
-        outlines: bool = False,
+        outline: Outline | None = None,
     ) -> View:
         """The view of a scene.
 
@@ -123,8 +123,8 @@ class View:
             RectificationError: the scene admits no such rectification.
         """
         if variant.in_frame:
-            return cls(variant, camera, None, outlines)
-        return cls(variant, camera, Rectification.of_region(variant.region, camera, road, pair, size_wh), outlines)
+            return cls(variant, camera, None, outline)
+        return cls(variant, camera, Rectification.of_region(variant.region, camera, road, pair, size_wh), outline)
 
     @property
     def frame_wh(self) -> tuple[int, int]:
@@ -172,8 +172,8 @@ class View:
         classes = np.zeros(n, dtype=np.uint8) if class_ids is None else np.asarray(class_ids, dtype=np.uint8)
         shares, vertices, front = self._boxes_3d(boxes, cc, vertices_px)
         feet = self._middles(front)
-        if self.outlines and self.variant is not Variant.ORIG2D:
-            feet = stand_at_near_end(self.camera, feet)
+        if self.outline is not None and self.variant is not Variant.ORIG2D:
+            feet = stand_at_near_end(self.camera, feet, self.outline)
         solid = np.isfinite(boxes).all(axis=1) & (boxes[:, :2] < boxes[:, 2:]).all(axis=1)
         valid = np.asarray(solid & np.isfinite(front).all(axis=(1, 2)) & np.isfinite(feet).all(axis=1))
         found = Detections(

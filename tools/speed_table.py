@@ -28,6 +28,7 @@ from detector.mask_detections import MaskPlacer
 from detector.score import GroundTruth, Tracks, score_recording
 from detector.score.groundtruth import parse_ground_truth
 from detector.speed import SpeedMeter
+from detector.stance import Outline
 from detector.variants import Variant, View
 from labelgen.errors import DataError, LabelgenError, RectificationError
 from labelgen.files import make_folder, write_json
@@ -116,6 +117,7 @@ def _lanes(
 ) -> tuple[list[_Lane], dict[str, str]]:
     """All variants with both pairs, and why some are not possible here."""
     lanes, impossible = [], {}
+    outline = Outline.BODY if outlines else None
     sizes = load_manifest("brnocompspeed")["sizes"]
     for pair in Pair:
         for variant in _ORDER:
@@ -123,7 +125,7 @@ def _lanes(
                 continue  # nothing of it depends on the pair
             name = str(variant) if variant is Variant.ORIG2D else f"{variant} {pair}"
             try:
-                view = View.create(variant, camera, road, pair, parse_size(sizes[str(pair)]), outlines=outlines)
+                view = View.create(variant, camera, road, pair, parse_size(sizes[str(pair)]), outline=outline)
             except RectificationError as err:
                 impossible[name] = str(err)
                 continue

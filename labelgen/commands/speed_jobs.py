@@ -70,6 +70,7 @@ class SpeedJob:
 def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob:
     from detector.mask_detections import MaskDetections, MaskPlacer
     from detector.pipeline import detect
+    from detector.stance import Outline
     from detector.variants import Variant, View
     from labelgen.errors import LabelgenError
     from labelgen.geometry import Pair, Rule, parse_size
@@ -99,7 +100,12 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
     is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
-    view = View.create(chosen, camera, road, pair, size_wh, outlines=options.near_end == "vehicle")
+    outline = None
+    if options.near_end == "vehicle":
+        # The outlines of `sochor` are a background model's, too.
+        shaded = argument == "background" or chosen is Variant.SOCHOR
+        outline = Outline.BODY_AND_SHADE if shaded else Outline.BODY
+    view = View.create(chosen, camera, road, pair, size_wh, outline=outline)
     masks: MaskSource = create_mask_source(
         argument, weights=options.weights, score_threshold=options.score, road_mask=road.pixels,
         device=options.device, frame_wh=frames.size_wh,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from speed_scenes import make_camera
 
-from detector.stance import near_end_m, stand_at_near_end
+from detector.stance import Outline, near_end_m, stand_at_near_end
 from labelgen.calibrate.bodies import common_bodies
 
 
@@ -50,3 +50,18 @@ def test_points_move_along_the_road_towards_the_camera() -> None:
     np.testing.assert_allclose(moved[:, 0], near_end_m(places[:, 0], camera.height_m), atol=1e-6)
     beyond = (camera.vp1 - [0.0, 500.0])[None]
     np.testing.assert_array_equal(stand_at_near_end(camera, beyond), beyond)
+
+
+def test_masks_with_the_shade_end_nearly_at_the_edge_and_a_part_of_a_pixel_too_high() -> None:
+    camera = make_camera()
+    edges = np.array([[12.0, -2.0, 0.0], [30.0, 1.0, 0.0], [60.0, 3.0, 0.0]])
+    # What a background model sees of them: a hand's breadth farther away, and half a working pixel higher.
+    lost = 0.5 * camera.image_wh[0] / 640
+    seen = camera.project(edges + np.array([0.18, 0.0, 0.0])) - np.array([0.0, lost])
+    moved = stand_at_near_end(camera, seen, Outline.BODY_AND_SHADE)
+    np.testing.assert_allclose(camera.road_points(moved), edges[:, :2], atol=1e-6)
+    # Far away half a pixel is as much as a body's overhang, nearby it is nothing: no shift of one length does both.
+    shifts = camera.road_points(seen)[:, 0] - edges[:, 0]
+    assert shifts[2] > 2 * shifts[0]
+    beyond = (camera.vp1 - [0.0, 500.0])[None]
+    np.testing.assert_array_equal(stand_at_near_end(camera, beyond, Outline.BODY_AND_SHADE), beyond)
