@@ -9,8 +9,9 @@
 One line per frame, frames without detections included. Boxes lie in the rectified picture, or in the frame where
 `rectification` is null. `cc` is there for variants that decode it, `vertices` (eight points each, frame px) for all
 that have 3D boxes; a reader needs `vertices` only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may
-be left out, `time_s` may be null or left out where `fps` is given. `outlines`, null where it is left out, says of what the
-outlines are that boxes end with (`detector.stance.Outline`); null where boxes end as true 3D boxes stand on the road.
+be left out, `time_s` may be null or left out where `fps` is given. `outlines`, null where it is left out, says of what
+the outlines are that boxes end with (`detector.stance.Outline`); null where boxes end as true 3D boxes stand on the
+road.
 """
 
 from __future__ import annotations
