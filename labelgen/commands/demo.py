@@ -43,7 +43,7 @@ def demo(
     write_boxcars_tree(tree, crops["vehicles"], crops["seed"], overwrite=True, progress=True)
     clip = plan["session"]
     typer.echo(f"2/5 rendering {clip['duration_s']:g} s of traffic in the BrnoCompSpeed layout: {data}")
-    write_session(
+    made = write_session(
         data,
         duration_s=clip["duration_s"],
         fps=clip["fps"],
@@ -56,10 +56,10 @@ def demo(
     session = next(iter(sorted((data / "dataset").iterdir())))
     typer.echo(f"\n3/5 labelgen boxcars --root {tree} --out {shards / 'boxcars'}")
     boxcars(root=tree, out=shards / "boxcars", overwrite=True)
-    typer.echo(
-        f"\n4/5 labelgen bcs-masks {session} --masks background --every {clip['every']} --out {shards / 'masks'}"
-    )
-    bcs_masks([session], out=shards / "masks", masks="background", every=clip["every"], overwrite=True)
+    # Exact masks, so that what is seen of the labels is the method's own.
+    masks = f"coco:{made.files['masks']}"
+    typer.echo(f"\n4/5 labelgen bcs-masks {session} --masks {masks} --every {clip['every']} --out {shards / 'masks'}")
+    bcs_masks([session], out=shards / "masks", masks=masks, every=clip["every"], overwrite=True)
     typer.echo(f"\n5/5 labelgen validate and labelgen audit {shards / 'boxcars'} {shards / 'masks'}")
     validate([shards / "boxcars", shards / "masks"])
     for name in ("boxcars", "masks"):
