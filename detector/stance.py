@@ -25,7 +25,7 @@ from labelgen.geometry.projective import Array
 
 __all__ = ["Outline", "near_end_m", "stand_at_near_end"]
 
-# Medians over nine rendered sessions, docs/calibration.md: how far before the near end background masks end, and by
+# Medians over nine rendered sessions, docs/speed-variants.md: how far before the near end background masks end, and by
 # which share of the frame's width too high: half a pixel of those on which they are made.
 _SHADE_BEHIND_M, _LOST_SHARE = 0.18, 0.5 / 640
 

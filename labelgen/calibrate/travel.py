@@ -263,7 +263,7 @@ def outer_tracks(lines: TrackLines, vp1: Array, vehicles: NDArray[np.int64]) -> 
     Args:
         lines: N tracks.
         vp1: (3,) direction, rough.
-        vehicles: (N,) number of each track's vehicle; one with fewer than 4 has no sides.
+        vehicles: (N,) number of each track's vehicle, 0 to V - 1; one with fewer than 4 tracks has no sides.
     """
     v = vp1 / np.linalg.norm(vp1)
     along = sideways(v)
