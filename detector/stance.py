@@ -22,12 +22,13 @@ from numpy.typing import ArrayLike
 from labelgen.calibrate.bodies import common_bodies
 from labelgen.geometry import Camera
 from labelgen.geometry.projective import Array
+from labelgen.masks.background import WORKING_WIDTH
 
 __all__ = ["Outline", "near_end_m", "stand_at_near_end"]
 
 # Medians over nine rendered sessions, docs/speed-variants.md: how far before the near end background masks end, and by
 # which share of the frame's width too high: half a pixel of those on which they are made.
-_SHADE_BEHIND_M, _LOST_SHARE = 0.18, 0.5 / 640
+_SHADE_BEHIND_M, _LOST_SHARE = 0.18, 0.5 / WORKING_WIDTH
 
 
 class Outline(Enum):

@@ -16,11 +16,11 @@ from labelgen.masks.background_model import BackgroundModel
 from labelgen.masks.instances import InstanceMasks, crop_mask
 from labelgen.masks.silhouettes import Silhouette, find_silhouettes
 
-__all__ = ["BackgroundMasks"]
+__all__ = ["WORKING_WIDTH", "BackgroundMasks"]
 
 # All frames are worked on at this width: the clean-up works in pixels, and silhouettes gain nothing from more. What
 # would become lower or higher than this is stretched to it: slivers have no silhouettes, but must not fill the memory.
-_WORKING_WIDTH = 640
+WORKING_WIDTH = 640
 _WORKING_HEIGHTS = (16, 2560)
 # A vehicle stands on the lowest part of its silhouette, of this share of its height.
 _FOOT_SHARE = 0.2
@@ -77,10 +77,10 @@ class BackgroundMasks:
                 "give a mask of the frame's size"
             )
         low, high = _WORKING_HEIGHTS
-        size = (_WORKING_WIDTH, min(max(low, round(h * _WORKING_WIDTH / w)), high))
+        size = (WORKING_WIDTH, min(max(low, round(h * WORKING_WIDTH / w)), high))
         if size == (w, h):
             return image
-        how = cv2.INTER_AREA if w > _WORKING_WIDTH else cv2.INTER_CUBIC
+        how = cv2.INTER_AREA if w > WORKING_WIDTH else cv2.INTER_CUBIC
         return np.asarray(cv2.resize(image, size, interpolation=how), dtype=np.uint8)
 
     def _masks_of(self, image: NDArray[np.uint8]) -> InstanceMasks:

@@ -21,9 +21,9 @@ BLOCKY_CODECS = frozenset([*_MPEG, "h263", "h263p", "flv1", "wmv1", "wmv2"])
 _SIDE = 8
 _K = np.arange(_SIDE)
 _COSINES = np.where(_K[:, None] == 0, np.sqrt(1 / _SIDE), 0.5 * np.cos((2 * _K + 1) * _K[:, None] * np.pi / 16))
-# As the default matrices of MPEG and JPEG: fine details are rounded some six times as coarsely as the mean.
 _COLOUR_COARSER = 2.0
 """Colours are rounded more coarsely, as by JPEG's matrices; and such recorders' sources had few of them."""
+# As the default matrices of MPEG and JPEG: fine details are rounded some six times as coarsely as the mean.
 _STEPS = 1 + 0.4 * (_K[:, None] + _K)
 
 
