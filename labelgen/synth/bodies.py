@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from labelgen.synth.mesh import Chart, Mesh, box_mesh, join, loft, tube_mesh, wheel_mesh
 from labelgen.synth.shapes import Shape
 
-__all__ = ["MIRROR", "body_mesh", "cabin_edge", "shell_end", "top_line", "wing_mirrors"]
+__all__ = ["MIRROR", "body_mesh", "cabin_edge", "face_edge", "setback", "shell_end", "top_line", "wing_mirrors"]
 
 MIRROR = 0.01
 """How far a wing mirror stands out from the body, metres."""
@@ -23,20 +24,36 @@ def shell_end(shape: Shape) -> float:
     return shape.length if shape.cargo is None else shape.rear_window[0] + 0.05
 
 
+def face_edge(shape: Shape) -> tuple[float, float]:
+    """(d, z) at the body's middle where the bonnet begins above the front's face."""
+    return 0.5 * _nose_reach(shape), shape.nose - 0.05
+
+
+def _nose_reach(shape: Shape) -> float:
+    return min(0.30, shape.cowl[0] * 0.6)
+
+
 def top_line(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The body's upper outline in side view: d and z, every centimetre, rounded as sheet metal is."""
+    """The body's upper outline in side view, at its middle: d and z, every centimetre, rounded as sheet metal is."""
     end = shell_end(shape)
     roof_middle = (shape.roof_front[0] + shape.roof_rear[0]) / 2
     roof = shape.height if shape.cargo is None else shape.roof_rear[1] + 0.05
+    drop, rise = roof - shape.roof_front[1], shape.cowl[1] - shape.nose
+    long = roof_middle - shape.roof_front[0]
+    reach = _nose_reach(shape)
     knots = [
-        (0.0, shape.nose - 0.22),
-        (0.05, shape.nose - 0.10),
-        (min(0.22, shape.cowl[0] * 0.6), shape.nose),
-        (0.45 * shape.cowl[0] + 0.1, shape.nose + 0.55 * (shape.cowl[1] - shape.nose)),
+        (0.0, shape.nose - 0.28),
+        (0.2 * reach, shape.nose - 0.17),
+        face_edge(shape),
+        (reach, shape.nose),
+        # A bonnet bulges.
+        *((reach + t * (shape.cowl[0] - reach), shape.nose + rise * (1 - (1 - t) ** 1.3)) for t in (0.3, 0.6, 0.85)),
         shape.cowl,
         shape.roof_front,
-        (shape.roof_front[0] + 0.3 * (roof_middle - shape.roof_front[0]), roof - 0.02),
+        # A roof is an arc.
+        *((shape.roof_front[0] + t * long, roof - drop * (1 - t) ** 2) for t in (0.2, 0.45, 0.7)),
         (roof_middle, roof),
+        (0.5 * (roof_middle + shape.roof_rear[0]), roof - 0.25 * (roof - shape.roof_rear[1])),
         shape.roof_rear,
         shape.rear_window,
         (end - 0.10, shape.tail),
@@ -59,9 +76,26 @@ def _half_width(shape: Shape, d: NDArray[Any]) -> NDArray[np.float64]:
     return shape.width / 2 * (1 - narrow)
 
 
+def setback(shape: Shape, d: Any, y: Any) -> Any:
+    """How far behind the middle, metres, what lies y beside it stands: noses, screens and tails are round in plan."""
+    return _bow(shape, d) * np.square(y)
+
+
+def _bow(shape: Shape, d: Any) -> NDArray[np.float64]:
+    """1 / metre, how round the body is in plan at d; negative towards the rear."""
+    end = shell_end(shape)
+    nose, tail = shape.round_nose, 0.0 if shape.cargo is not None else shape.round_tail
+    roof_middle = (shape.roof_front[0] + shape.roof_rear[0]) / 2
+    at = [0.0, shape.cowl[0], shape.roof_front[0], roof_middle, shape.roof_rear[0], shape.rear_window[0], end]
+    rounds = [nose, 0.75 * nose, 0.45 * nose, 0.0, -0.45 * tail, -0.8 * tail, -tail]
+    bow: NDArray[np.float64] = np.interp(d, at, rounds) / (shape.width / 2) ** 2
+    return bow
+
+
 def cabin_edge(shape: Shape, half_width: Any, z: Any) -> Any:
-    """Half-width of the body at a height above the belt, where windows lean inwards."""
-    return 0.93 * half_width - shape.tumble * np.maximum(z - shape.belt, 0)
+    """Half-width of the body at a height above the belt, where windows lean inwards, most below the roof's edge."""
+    up = np.maximum(z - shape.belt, 0)
+    return 0.93 * half_width - shape.tumble * (up + 0.35 * up**2)
 
 
 def _stations(shape: Shape) -> NDArray[np.float64]:
@@ -102,7 +136,25 @@ def _shell(shape: Shape) -> Mesh:
         (np.zeros_like(d), z_top),
     ]
     sections = np.stack([np.stack(c, axis=1) for c in columns], axis=1)
-    return loft(shape.length / 2 - d, sections)
+    return _one_drawing_per_screen(shape, loft(shape.length / 2 - d, sections, bow=_bow(shape, d)))
+
+
+def _one_drawing_per_screen(shape: Shape, shell: Mesh) -> Mesh:
+    """Screens as steep as 45 degrees would show parts of two drawings: each takes the one that suits it best."""
+    middles = shell.vertices[shell.triangles].mean(axis=1)
+    d = shape.length / 2 - middles[:, 0]
+    d -= setback(shape, d, middles[:, 1])
+    normals = shell.normals.mean(axis=1)
+    charts = shell.charts.copy()
+    for upper, lower, end in (
+        (shape.roof_front, shape.cowl, Chart.FRONT),
+        (shape.roof_rear, shape.rear_window, Chart.REAR),
+    ):
+        steep = upper[1] - lower[1] > abs(upper[0] - lower[0])
+        first, last = sorted((upper[0], lower[0]))
+        here = (d > first) & (d < last) & (middles[:, 2] > shape.belt) & (charts != Chart.SIDE) & (normals[:, 2] > -0.1)
+        charts[here] = end if steep else Chart.TOP
+    return replace(shell, charts=charts)
 
 
 def _mirrors(shape: Shape) -> list[Mesh]:
@@ -132,6 +184,30 @@ def wing_mirrors(shape: Shape) -> list[Mesh]:
     return [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8) for spine in spines]
 
 
+def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
+    """What a lorry carries below its load, and the shield on its cab that leads the wind over it."""
+    assert shape.cargo is not None
+    half, middle = shape.width / 2, shape.length / 2
+    gaps = zip(shape.axles[:-1], shape.axles[1:], strict=True)
+    first, last = max(gaps, key=lambda gap: gap[1] - gap[0])
+    first = max(first + 0.7, shape.cargo[0] + 0.3)
+    parts = [
+        box_mesh((middle - last + 0.75, y - 0.04, 0.45), (middle - first, y + 0.04, low))
+        for y in (-0.90 * half, 0.90 * half)
+    ]
+    roof = shape.roof_rear[1]
+    if high - roof > 0.2:
+        start, end = shape.roof_front[0] + 0.25, shape.roof_rear[0] - 0.05
+        d = np.linspace(start, end, 6)
+        top = roof + (high - 0.05 - roof) * np.sin(np.linspace(0.05, 1, 6) * np.pi / 2)
+        wide = np.full_like(d, 0.86 * half)
+        foot, none = np.full_like(d, roof - 0.1), np.zeros_like(d)
+        columns = [(none, foot), (wide, foot), (wide, top - 0.06), (wide - 0.1, top), (none, top)]
+        sections = np.stack([np.stack(column, axis=1) for column in columns], axis=1)
+        parts.append(loft(middle - d, sections))
+    return parts
+
+
 def body_mesh(shape: Shape) -> Mesh:
     """Mesh of a vehicle whose bounding cuboid stands on z = 0 around the origin."""
     half = shape.width / 2
@@ -144,7 +220,8 @@ def body_mesh(shape: Shape) -> Mesh:
         front, rear = shape.length / 2 - start, -shape.length / 2
         parts.append(box_mesh((rear, -half, low), (front, half, high)))
         parts.append(box_mesh((rear + 0.1, -0.4 * half, 0.55), (front + 0.5, 0.4 * half, low), chart=Chart.DARK))
-        parts.append(box_mesh((rear + 0.02, -0.9 * half, 0.45), (rear + 0.12, 0.9 * half, 0.62), chart=Chart.DARK))
+        parts.append(box_mesh((rear + 0.02, -0.94 * half, 0.45), (rear + 0.12, 0.94 * half, 0.62), chart=Chart.REAR))
+        parts += _underneath(shape, low, high)
     mesh = join(parts)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])

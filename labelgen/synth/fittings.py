@@ -1,4 +1,4 @@
-"""What vehicles have in common: style, plates, wheels, windows and what shows through them."""
+"""What vehicles have in common: style, plates, wheels and windows."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ __all__ = [
     "BLACK",
     "CHROME_TONE",
     "PLATES",
+    "SILL",
     "TRIM",
     "Style",
     "draw_wheels",
     "gleam",
     "mirrored",
     "pane",
-    "passengers",
     "plate",
     "sample_style",
 ]
 
 BLACK: Colour = (0.010, 0.010, 0.011)
 TRIM: Colour = (0.028, 0.028, 0.030)
+SILL = 0.05
+"""Height of the dark edge below a body's paint where there is no cladding, metres."""
 CHROME_TONE: Colour = (0.50, 0.50, 0.51)
 
 
@@ -45,8 +47,9 @@ class Style:
         cladding: height of unpainted plastic at the sills, metres; also around the wheels when over 0.1.
         dark_bumpers: whether bumpers are unpainted.
         chrome: whether window frames and grille are bright.
-        glass: albedo behind the glass.
+        glass: albedo of the dark behind the glass.
         rear_glass: the same from the second row on.
+        clear, rear_clear: 0 to 1, how much light comes through the cabin to who looks in at the front, at the rear.
         dark_roof: whether the roof is black.
         rails: 0 none, 1 black, 2 bright.
         plate: number of a family of plates.
@@ -61,6 +64,8 @@ class Style:
     chrome: bool
     glass: Colour
     rear_glass: Colour
+    clear: float
+    rear_clear: float
     dark_roof: bool
     rails: int
     plate: int
@@ -74,8 +79,10 @@ PLATES = ("european", "yellow", "blue", "short")
 def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = None) -> Style:
     """A style that suits a body. `plates`: one of `PLATES`, any when None."""
     rugged = shape.kind in ("suv", "pickup", "van") and rng.random() < 0.6
-    clear = rng.uniform(0.010, 0.045)
-    private = clear if rng.random() < 0.55 else 0.006
+    dark = rng.uniform(0.008, 0.022)
+    private = rng.random() < (0.5 if shape.kind in ("suv", "minivan", "estate") else 0.25)
+    clear = rng.uniform(0.15, 1.0)
+    behind = 0.006 if private else dark
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
         rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
@@ -87,9 +94,11 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
         chrome=bool(rng.random() < 0.25),
-        glass=(clear, clear * 1.2, clear * 1.12),
-        rear_glass=(private, private * 1.1, private * 1.1),
-        dark_roof=bool(rng.random() < 0.08),
+        glass=(0.85 * dark, 1.15 * dark, 1.15 * dark),
+        rear_glass=(behind, behind * 1.1, behind * 1.1),
+        clear=clear * (0.4 if private else 1.0),
+        rear_clear=0.06 if private else clear,
+        dark_roof=bool(rng.random() < 0.10) and shape.kind not in ("van", "lorry", "articulated", "bus"),
         rails=rails,
         plate=family if plates is None else PLATES.index(plates),
         plate_high=bool(rng.random() < 0.6),
@@ -163,64 +172,13 @@ def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: 
     """
     points = np.asarray(ring, dtype=np.float64)
     top, foot = share * rng.uniform(0.6, 1.3), 0.06 * share
-    tone: Colour = (0.19, 0.21, 0.23)
+    tone: Colour = (0.18, 0.21, 0.225)
     if chart is not Chart.TOP:
         skin.fade(chart, points, tone, (top, foot))
         return
     n = len(points) // 2
     rises = points[n:, 0].mean() > points[:n, 0].mean()
     skin.fade(chart, points, tone, (foot, top) if rises else (top, foot), level=True)
-
-
-def passengers(
-    skin: Skin, chart: Chart, span: tuple[float, float], half: float, rng: np.random.Generator, *, rear: bool = False
-) -> None:
-    """What shows through a wind or rear screen: dashboard or shelf, seats, who sits in them.
-
-    Args:
-        skin: painted on.
-        chart: TOP or an end.
-        span: along the window from its lower to its upper edge: d on top, z at the ends.
-        half: half its width.
-        rng: decides who is there.
-        rear: whether it is the rear window.
-    """
-    low, high = span
-    if abs(high - low) < 0.2:
-        return
-
-    def oval(y: float, along: float, wide: float, long: float, colour: Colour) -> None:
-        angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
-        y_ring, ring = y + wide * np.cos(angle), along + long * np.sin(angle)
-        points = np.stack([ring, y_ring] if chart is Chart.TOP else [y_ring, ring], axis=1)
-        skin.polygon(chart, points, colour, GLASS)
-
-    long = high - low
-    tone = rng.uniform(0.012, 0.09)
-    shelf = low + rng.uniform(0.16, 0.3) * long
-    corners = [(low, -half), (shelf, -half * 0.95), (shelf, half * 0.95), (low, half)]
-    if chart is not Chart.TOP:
-        corners = [(y, along) for along, y in corners]
-    skin.polygon(chart, corners, (tone, tone, tone * 1.05), GLASS)
-    for _ in range(int(rng.integers(1, 4))):  # what else lies, hangs and gleams in there, and what the glass mirrors
-        grey = float(np.exp(rng.uniform(np.log(0.003), np.log(0.018 if rear else 0.03))))
-        place = (rng.uniform(-0.95, 0.95) * half, low + rng.uniform(0.05, 0.95) * long)
-        oval(*place, rng.uniform(0.10, 0.3), rng.uniform(0.05, 0.12) * long, (grey * 0.95, grey * 1.05, grey))
-    headrests = rng.random() < 0.4
-    for side in (-0.5, 0.5):
-        seat = rng.uniform(0.012, 0.05)
-        if not rear or headrests:
-            oval(side * half, high - (0.5 if rear else 0.22) * long, 0.14, 0.10 * long, (seat, seat, seat))
-        if not rear and (side < 0 or rng.random() < 0.3):
-            r, g, b = (rng.uniform(0.008, 0.05) * rng.normal(1, 0.15, 3).clip(0.5, 1.5)).tolist()
-            oval(side * half, low + 0.50 * long, 0.17, 0.15 * long, (r, g, b))
-            face = rng.uniform(0.3, 1.0)
-            oval(side * half, low + 0.75 * long, 0.075, 0.08 * long, (0.06 * face, 0.04 * face, 0.032 * face))
-    if not rear:  # the wheel, the mirror, a paper at the screen's edge
-        oval(-0.5 * half, low + 0.27 * long, 0.17, 0.05 * long, (0.012, 0.012, 0.012))
-        oval(0.0, low + 0.88 * long, 0.12, 0.05 * long, (0.015, 0.015, 0.016))
-        if rng.random() < 0.5:
-            oval(rng.uniform(-0.7, 0.7) * half, low + 0.12 * long, 0.05, 0.04 * long, (0.22, 0.22, 0.2))
 
 
 def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:

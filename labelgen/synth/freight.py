@@ -30,10 +30,17 @@ def draw_cargo(
     start, low, high = shape.cargo
     half, length = shape.width / 2, shape.length
     seam = dim(colour, 0.5)
+    skin.rectangle(Chart.SIDE, (start + 0.15, 0), (length + 0.1, low), TRIM, MATTE)
+    for d in (start + 0.5, start + 2.0):  # tanks and boxes below
+        level = rng.uniform(0.03, 0.22)
+        if rng.random() < 0.7:
+            ring = [(d, 0.48), (d + 1.1, 0.48), (d + 1.1, low - 0.1), (d, low - 0.1)]
+            skin.polygon(Chart.SIDE, rounded(ring, 0.06), (level, level, level), MATTE)
     skin.rectangle(Chart.SIDE, (start - 0.05, low - 0.05), (length + 0.1, high + 0.1), colour, PAINT)
     skin.rectangle(Chart.TOP, (start - 0.05, -half - 0.3), (length + 0.1, half + 0.3), dim(colour, 0.9), MATTE)
     skin.rectangle(Chart.REAR, (-half - 0.2, low - 0.05), (half + 0.2, high + 0.1), colour, PAINT)
     skin.rectangle(Chart.FRONT, (-half - 0.2, shape.roof_rear[1] + 0.1), (half + 0.2, high + 0.1), colour, PAINT)
+    skin.rectangle(Chart.REAR, (-half, 0), (half, low - 0.05), TRIM, MATTE)
     curtain = rng.random() < 0.45
     gap = rng.uniform(0.35, 0.7) if curtain else rng.uniform(0.8, 2.0)
     for d in np.arange(start + gap, length, gap).tolist():
@@ -59,7 +66,25 @@ def draw_cargo(
                 skin.rectangle(Chart.SIDE, (d, low + 0.09), (d + 0.25, low + 0.13), (0.34, 0.19, 0.06), PAINT)
         for z0, z1 in ((low + 0.1, low + 0.16), (high - 0.16, high - 0.1)):
             skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.24, 0.04, 0.035), PAINT)
+    _grime(skin, shape, rng)
     plate(skin, Chart.REAR, (0, 0.55), style.plate, rng)
+
+
+def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
+    """Spray from the wheels, streaks below the roof, panels that are not quite flat."""
+    assert shape.cargo is not None
+    start, low, high = shape.cargo
+    half, length = shape.width / 2, shape.length
+    side = [(start, low), (length, low), (length, high), (start, high)]
+    back = [(-half, low), (half, low), (half, high), (-half, high)]
+    for chart, ring in ((Chart.SIDE, side), (Chart.REAR, back)):
+        skin.fade(chart, ring, _GRIME, (rng.uniform(0.0, 0.12), rng.uniform(0.15, 0.5)))
+        skin.bow(chart, ring, (0.02, rng.uniform(0.02, 0.08)))
+    for _ in range(int(rng.integers(3, 12))):
+        d, long = rng.uniform(start, length), rng.uniform(0.3, 1.6)
+        skin.shadow(Chart.SIDE, [(d, high), (d + rng.uniform(-0.05, 0.05), high - long)], rng.uniform(0.03, 0.12), 0.08)
+        y = rng.uniform(-half, half)
+        skin.shadow(Chart.REAR, [(y, high), (y, high - long)], rng.uniform(0.03, 0.12), 0.08)
 
 
 def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator) -> None:

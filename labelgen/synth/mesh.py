@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 __all__ = ["Chart", "Mesh", "box_mesh", "join", "loft", "tube_mesh", "wheel_mesh"]
 
+_CAP_STEPS = 8
+
 
 class Chart(IntEnum):
     """Which drawing of the skin a triangle shows."""
@@ -98,41 +100,59 @@ def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArr
 
 
 def _charts_by_normal(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.uint8]:
+    """Which drawing a face shows."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
-    weight = np.stack([np.abs(normal[:, 1]), normal[:, 2], 0.85 * normal[:, 0], -0.85 * normal[:, 0]], axis=1)
+    weight = np.stack([np.abs(normal[:, 1]), normal[:, 2], normal[:, 0], -normal[:, 0]], axis=1)
     charts = weight.argmax(axis=1).astype(np.uint8)
     down = -normal[:, 2] > np.abs(normal[:, :2]).max(axis=1)
     return np.where(down, np.uint8(Chart.DARK), charts)
 
 
-def loft(x: Sequence[float] | NDArray[Any], sections: NDArray[Any], *, crease: float = 50.0) -> Mesh:
+def loft(
+    x: Sequence[float] | NDArray[Any], sections: NDArray[Any], *, bow: Sequence[float] | NDArray[Any] | None = None,
+    crease: float = 50.0,
+) -> Mesh:  # fmt: skip
     """Shell through cross-sections, closed at both ends and mirrored to the other side.
 
     Args:
         x: (S,) metres, falling: from the front to the rear.
         sections: (S, K, 2) metres, y >= 0 and z of the left half, from the middle of the floor over the side to the
             middle of the roof.
+        bow: (S,) 1 / metre; a section's points lie `bow * y**2` behind its middle, as noses and screens are round in
+            plan. 0 when None.
         crease: degrees; edges that turn more stay sharp.
     """
     half = np.asarray(sections, dtype=np.float64)
     mirrored = half[:, -2:0:-1] * np.array([-1.0, 1.0])
     ring = np.concatenate([half, mirrored], axis=1)
     count, around = ring.shape[:2]
-    xs = np.broadcast_to(np.asarray(x, dtype=np.float64)[:, None, None], (count, around, 1))
-    vertices = np.concatenate([xs, ring], axis=2).reshape(-1, 3)
+    middles = np.asarray(x, dtype=np.float64)
+    bows = np.zeros(count) if bow is None else np.asarray(bow, dtype=np.float64)
+
+    def placed(points: NDArray[Any], section: Any) -> NDArray[np.float64]:
+        behind = bows[section, None] * points[..., 0] ** 2
+        return np.concatenate([(middles[section, None] - behind)[..., None], points], axis=-1).reshape(-1, 3)
+
+    vertices = [placed(ring, np.arange(count))]
     i, j = np.meshgrid(np.arange(count - 1), np.arange(around), indexing="ij")
     a, b = i * around + j, i * around + (j + 1) % around
     c, d = a + around, b + around
-    sides = np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+    triangles = [np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)[:, ::-1]]
     # End caps: strips across from left to right, since the sections are not convex for a fan.
-    k = np.arange(half.shape[1] - 1)
-    left, right = k, (around - k) % around
-    left2, right2 = k + 1, (around - k - 1) % around
-    cap = np.concatenate([np.stack([left, right, right2], 1), np.stack([left, right2, left2], 1)])
-    last = (count - 1) * around
-    triangles = np.concatenate([sides[:, ::-1], cap[:, ::-1], cap + last])
-    return _with_normals(vertices, triangles, _charts_by_normal(vertices, triangles), crease)
+    across = np.linspace(1, -1, _CAP_STEPS + 1)
+    rows = half.shape[1]
+    k, m = np.meshgrid(np.arange(rows - 1), np.arange(_CAP_STEPS), indexing="ij")
+    for section in (0, count - 1):
+        start = sum(len(v) for v in vertices)
+        grid = np.stack([half[section, :, :1] * across, np.broadcast_to(half[section, :, 1:], (rows, len(across)))], -1)
+        vertices.append(placed(grid, np.array([section] * rows)))
+        a = start + k * len(across) + m
+        b, c, d = a + 1, a + len(across), a + len(across) + 1
+        cap = np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+        triangles.append(cap if section else cap[:, ::-1])
+    corners, faces = np.concatenate(vertices), np.concatenate(triangles)
+    return _with_normals(corners, faces, _charts_by_normal(corners, faces), crease)
 
 
 def box_mesh(low: Sequence[float], high: Sequence[float], *, chart: Chart | None = None) -> Mesh:

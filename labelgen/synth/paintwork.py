@@ -7,14 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from labelgen.synth.bodies import cabin_edge, shell_end, top_line
-from labelgen.synth.faces import draw_front, draw_rear
-from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, draw_wheels, gleam, pane, passengers, sample_style
+from labelgen.synth.bodies import cabin_edge, face_edge, setback, shell_end, top_line
+from labelgen.synth.cabin import OnScreen, behind_rear_screen, behind_windscreen, on_screen
+from labelgen.synth.cabs import draw_bus_front, draw_cab_front
+from labelgen.synth.fittings import BLACK, CHROME_TONE, SILL, TRIM, Style, draw_wheels, gleam, pane, sample_style
 from labelgen.synth.freight import draw_bus, draw_bus_rear, draw_cargo
+from labelgen.synth.fronts import draw_front
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import CHROME, GLASS, LAMP, MATTE, PAINT
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim
+from labelgen.synth.tails import draw_rear
 
 __all__ = ["draw_skin"]
 
@@ -43,16 +46,17 @@ def draw_skin(
     skin.fill(Chart.MIRROR, dim(paint, 0.8) if rng.random() < 0.75 else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
-    draw_front(skin, shape, paint, style, rng, lamps)
-    if shape.kind == "bus":
-        draw_bus_rear(skin, shape, paint, style, rng, lamps=lamps)
-    else:
-        draw_rear(skin, shape, paint, style, rng, lamps)
     draw_wheels(skin, shape, rng)
     if shape.kind == "bus":
+        draw_bus_front(skin, shape, paint, style, rng, lamps)
+        draw_bus_rear(skin, shape, paint, style, rng, lamps=lamps)
         draw_bus(skin, shape, paint, style, rng)
-    if shape.cargo is not None:
+    elif shape.cargo is not None:
+        draw_cab_front(skin, shape, paint, style, rng, lamps)
         draw_cargo(skin, shape, cargo, style, rng, lamps=lamps)
+    else:
+        draw_front(skin, shape, paint, style, rng, lamps)
+        draw_rear(skin, shape, paint, style, rng, lamps)
     return skin
 
 
@@ -68,7 +72,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
     skin.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
     skin.bow(Chart.SIDE, [(0, 0), (end, 0), (end, shape.belt), (0, shape.belt)], (0.03, 0.5))
     skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.65, 0.18)
-    sill = shape.clearance + 0.05 + style.cladding
+    sill = shape.clearance + SILL + style.cladding
     skin.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
     if style.dark_bumpers:
         for low, high in ((0.0, 0.45), (end - 0.4, end)):
@@ -88,7 +92,8 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.005, 0.005, 0.005), MATTE)
     for line in ([(0.52, shape.clearance + 0.1), (0.48, shape.nose - 0.26)], [(end - 0.42, sill), (end - 0.38, waist)]):
         skin.line(Chart.SIDE, line, dim(paint, _SEAM), PAINT)
-    skin.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.72, waist + 0.05), (0.5, 0.22, 0.02), LAMP)
+    if rng.random() < 0.3:
+        skin.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.69, waist + 0.05), (0.30, 0.15, 0.03), LAMP)
 
 
 def _disc(centre: tuple[float, float], radius: float) -> Any:
@@ -189,19 +194,18 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     crown = [(roof[0], -edge), (roof[1], -edge), (roof[1], edge), (roof[0], edge)]
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         skin.bow(Chart.TOP, crown, (0.05, rng.uniform(0.22, 0.4)))
-    screen = _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
-    passengers(skin, Chart.TOP, (shape.cowl[0] + 0.08, shape.roof_front[0] - 0.08), 0.62 * half, rng)
-    gleam(skin, Chart.TOP, screen, rng)
+    ring, placed = _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
+    behind_windscreen(skin, Chart.TOP, placed, style.glass, style.clear, rng)
+    gleam(skin, Chart.TOP, ring, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
-        screen = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
-        span = (shape.rear_window[0] - 0.1, shape.roof_rear[0] + 0.05)
-        passengers(skin, Chart.TOP, span, 0.66 * half, rng, rear=True)
-        gleam(skin, Chart.TOP, screen, rng)
+        ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
+        behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
+        gleam(skin, Chart.TOP, ring, rng)
     if shape.cowl[0] > 0.6:
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
     if style.rails:
-        rail = (BLACK, MATTE) if style.rails == 1 else (CHROME_TONE, LAMP)
+        rail = (BLACK, MATTE) if style.rails == 1 else (dim(CHROME_TONE, 0.6), LAMP)
         for y in (edge, -edge):
             skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
     elif shape.kind != "bus" and shape.cargo is None:
@@ -227,38 +231,51 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
 
 def _top_pane(
     skin: Skin, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
-) -> Any:
-    """A wind or rear screen as far as it lies flat enough to be seen from above; returns its outline, foot first."""
+) -> tuple[Any, OnScreen]:
+    """A wind or rear screen as far as it lies flat enough to be seen from above.
+
+    Returns:
+        Its outline, foot first, and what places things on it.
+    """
     half = shape.width / 2
     edge = [cabin_edge(shape, half, z) - 0.05 for _, z in (near, far)]
     d0, d1 = near[0] + gap * (far[0] - near[0]), far[0] - 0.06 * (far[0] - near[0])
-    y0, y1 = edge[0] - 0.02, edge[1] - 0.04
-    # Seen from above both edges are bows, the lower one more than that at the roof.
-    across = np.linspace(1, -1, 5)
-    out = np.sign(d0 - d1) * (1 - across**2)
-    lower = np.stack([d0 + 0.08 * out, y0 * across], axis=1)
-    upper = np.stack([d1 + 0.025 * out, y1 * across], axis=1)[::-1]
-    ring = np.concatenate([lower, upper])
+    across = np.linspace(1, -1, 9)
+    y0, y1 = (edge[0] - 0.02) * across, (edge[1] - 0.04) * across
+    # Seen from above both edges are bows, as the body is there.
+    lower = np.stack([d0 + setback(shape, d0, y0), y0], axis=1)
+    upper = np.stack([d1 + setback(shape, d1, y1), y1], axis=1)
+    ring = np.concatenate([lower, upper[::-1]])
     pane(skin, Chart.TOP, ring, glass)
-    return ring
+    middle = ring.mean(axis=0)
+    inner = middle + 0.94 * (np.concatenate([lower, upper]) - middle)
+    return ring, on_screen(inner[:9][::-1], inner[9:][::-1])
 
 
 def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:
     """Gaps at the bonnet's sides and front, its creases, the wipers at its rear."""
-    back, y = shape.cowl[0] - 0.05, 0.68 * half
+    start, back = face_edge(shape)[0], shape.cowl[0] - 0.05
+
+    def bowed(points: list[tuple[float, float]]) -> Any:
+        """(d, share of the half-width), d at the body's middle, as the drawing's points."""
+        d, y = np.array(points).T
+        return np.stack([d + setback(shape, d, y * half), y * half], axis=1)
+
     for side in (-1, 1):
-        gap = [(0.16, side * 0.9 * y), (0.32, side * y), (back, side * (y + 0.09))]
+        gap = bowed([(start, 0.62 * side), (start + 0.2, 0.70 * side), (back, 0.78 * side)])
         skin.line(Chart.TOP, gap, seam, PAINT)
         skin.groove(Chart.TOP, gap)
         skin.shadow(Chart.TOP, gap, 0.15, 0.04)
-        inner = rng.uniform(0.3, 0.6) * half
-        crease = [(0.2, side * 0.7 * inner), (back, side * inner)]
-        skin.groove(Chart.TOP, crease, -0.003, 0.04)
-        wiper = [(back + 0.05, side * 0.1), (back + 0.10, side * 0.1 + 0.45)]
+        inner = rng.uniform(0.3, 0.6)
+        crease = bowed([(start, side * 0.7 * inner), (back, side * inner)])
+        skin.groove(Chart.TOP, crease, -0.004, 0.05)
+        wiper = bowed([(back + 0.04, side * 0.1), (back + 0.07, side * 0.35), (back + 0.10, side * 0.6)])
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
-    skin.line(Chart.TOP, [(0.16, -0.9 * y), (0.13, 0), (0.16, 0.9 * y)], seam, PAINT)
-    sheet = [(0.1, -0.9 * half), (back, -0.9 * half), (back, 0.9 * half), (0.1, 0.9 * half)]
-    skin.bow(Chart.TOP, sheet, (0.25, rng.uniform(0.25, 0.5)))
-    hump = [(0.1, -0.35 * half), (back, -0.5 * half), (back, 0.5 * half), (0.1, 0.35 * half)]
+    across = np.linspace(-1, 1, 9).tolist()
+    skin.line(Chart.TOP, bowed([(start + 0.01, 0.62 * y) for y in across]), seam, PAINT)
+    sheet = bowed([*((start, 0.95 * y) for y in across), *((back, -0.95 * y) for y in across)])
+    skin.bow(Chart.TOP, sheet, (0.0, rng.uniform(0.25, 0.55)))
+    hump = bowed([(start, -0.35), (start, 0.0), (start, 0.35), (back, 0.5), (back, 0.0), (back, -0.5)])
     skin.emboss(Chart.TOP, hump, 0.016, soft=True)
-    skin.rectangle(Chart.TOP, (shape.cowl[0] - 0.05, -0.8 * half), (shape.cowl[0] + 0.03, 0.8 * half), BLACK, MATTE)
+    cowl = bowed([*((back, 0.8 * y) for y in across), *((back + 0.11, -0.8 * y) for y in across)])
+    skin.polygon(Chart.TOP, cowl, BLACK, MATTE)

@@ -1,0 +1,201 @@
+"""Tails of cars and vans: rear windows, lids and doors, lamps, bumpers, in several families each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labelgen.synth.bodies import cabin_edge, setback, shell_end
+from labelgen.synth.cabin import behind_rear_screen, on_screen
+from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import CHROME, GLASS, LAMP, LIT, MATTE, PAINT
+from labelgen.synth.shapes import Shape
+from labelgen.synth.skin import Colour, Skin, dim, rounded
+
+__all__ = ["draw_rear"]
+
+_SEAM = 0.3
+
+# Tail lamps, one half: (share of the half-width, share of the lamp's height below its top).
+_TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
+    ((1.0, -0.05), (0.66, 0.05), (0.58, 0.35), (0.70, 0.85), (1.0, 1.0)),
+    ((1.0, -0.7), (0.90, -0.75), (0.80, -0.3), (0.80, 0.75), (0.88, 1.0), (1.0, 1.0)),
+    ((1.0, -0.1), (0.52, 0.15), (0.44, 0.45), (0.60, 0.70), (1.0, 0.95)),
+    ((1.0, -0.9), (0.90, -0.95), (0.86, -0.1), (0.56, 0.25), (0.60, 0.75), (1.0, 1.0)),
+    ((1.0, 0.0), (0.70, 0.0), (0.68, 0.95), (1.0, 1.0)),
+    ((1.0, 0.1), (0.05, 0.3), (0.05, 0.55), (1.0, 0.8)),
+)
+_ACROSS = 5
+
+
+def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
+    """Rear window or doors, lid, lamps, bumper and plate."""
+    half, seam = shape.width / 2, dim(paint, _SEAM)
+    braking = bool(rng.random() < 0.12)
+    foot = shape.clearance + 0.09 + style.cladding
+    van = shape.kind == "van"
+    top, tall = (1.15, 0.3) if van else (shape.tail - 0.03, rng.uniform(0.15, 0.23))
+    bumper_top = foot + (shape.tail - foot) * rng.uniform(0.34, 0.5) if not van else shape.clearance + 0.34
+    _bumper(skin, shape, paint, style, (foot, bumper_top), rng)
+    if van:
+        _rear_doors(skin, shape, style, seam, rng)
+    else:
+        _lid(skin, shape, paint, bumper_top, top, rng)
+        _rear_screen(skin, shape, style, braking, rng)
+    _tail_lamps(skin, shape, style, top, tall, rng, lamps, braking)
+    if van:
+        skin.circle(Chart.REAR, (0.3, top), 0.035, CHROME_TONE, CHROME)
+    else:
+        badge = top - rng.uniform(0.1, 0.5) * tall
+        size = rng.uniform(0.028, 0.042)
+        skin.circle(Chart.REAR, (0, badge), size, dim(CHROME_TONE, rng.uniform(0.4, 0.9)), LAMP)
+        skin.circle(Chart.REAR, (0, badge), 0.5 * size, dim(CHROME_TONE, 0.2), PAINT)
+        if rng.random() < 0.7:
+            _model_names(skin, half, top, tall, rng)
+    high = style.plate_high and not van
+    z = 0.5 * (bumper_top + top - tall) + 0.02 if high else 0.45 * foot + 0.55 * bumper_top
+    hollow = [(-0.36, z + 0.09), (-0.31, z - 0.085), (0.31, z - 0.085), (0.36, z + 0.09)]
+    if not style.dark_bumpers or high:
+        skin.emboss(Chart.REAR, rounded(hollow, 0.08), -0.025, soft=True)
+        skin.shadow(Chart.REAR, [hollow[0], hollow[3]], rng.uniform(0.25, 0.5), 0.05)
+    if rng.random() < 0.5:
+        tone = dim(CHROME_TONE, 0.8) if style.chrome or rng.random() < 0.5 else dim(paint, 0.5)
+        skin.rectangle(Chart.REAR, (-0.34, z + 0.085), (0.34, z + 0.11), tone, LAMP)
+    plate(skin, Chart.REAR, (0, z), style.plate, rng)
+
+
+def _bumper(
+    skin: Skin, shape: Shape, paint: Colour, style: Style, heights: tuple[float, float], rng: np.random.Generator
+) -> None:
+    """What stands out below the lid: its ledge, the dark part around the exhaust, reflectors."""
+    half, (foot, top) = shape.width / 2, heights
+    skin.rectangle(Chart.REAR, (-half, 0), (half, foot), TRIM, MATTE)
+    if style.dark_bumpers:
+        skin.rectangle(Chart.REAR, (-half, 0), (half, top), TRIM, MATTE)
+    rise = rng.uniform(0.0, 0.07)
+    edge = [(-half, top + rise), (-0.6 * half, top), (0.6 * half, top), (half, top + rise)]
+    sheet = [*edge, (half, foot), (-half, foot)]
+    if shape.kind != "van":
+        skin.bow(Chart.REAR, sheet, (0.0, rng.uniform(1.6, 3.2)), (0.0, 0.06))
+    skin.emboss(Chart.REAR, [*edge, (half, 0), (-half, 0)], 0.03, soft=True)
+    skin.line(Chart.REAR, edge, dim(paint, 0.45), PAINT, 0.014)
+    skin.shadow(Chart.REAR, edge, rng.uniform(0.25, 0.5), 0.05)
+    skin.shadow(Chart.REAR, [(-half, foot), (half, foot)], 0.7, 0.12)
+    dark = foot + rng.uniform(0.25, 0.55) * (top - foot)
+    if rng.random() < 0.8:  # unpainted below the bumper's middle
+        skirt = [(-0.80 * half, foot - 0.02), (0.80 * half, foot - 0.02), (0.62 * half, dark), (-0.62 * half, dark)]
+        skin.polygon(Chart.REAR, rounded(skirt, 0.06), TRIM, MATTE)
+    for side in (-1, 1):
+        low, high = (side * 0.74 * half, dark - 0.01), (side * 0.93 * half, dark + 0.02)
+        skin.rectangle(Chart.REAR, low, high, (0.085, 0.014, 0.015), LAMP)
+    pipes = int(rng.integers(3))
+    for side in (-1, 1)[:pipes]:
+        ring = [(0.56, foot), (0.70, foot), (0.70, foot + 0.05), (0.56, foot + 0.05)]
+        skin.polygon(Chart.REAR, mirrored([(y * half, z) for y, z in ring], side), dim(CHROME_TONE, 0.4), LAMP)
+
+
+def _lid(skin: Skin, shape: Shape, paint: Colour, low: float, top: float, rng: np.random.Generator) -> None:
+    """Boot lid or tailgate: its gaps, a crease across, its bulge from top to bottom."""
+    half = shape.width / 2
+    gap = rng.uniform(0.68, 0.8) * half
+    for side in (-1, 1):
+        line = mirrored([(gap - 0.05, low), (gap, low + 0.06), (gap, top), (gap - 0.06, top + 0.3)], side)
+        skin.line(Chart.REAR, line[:3], dim(paint, 0.5), PAINT)
+        skin.groove(Chart.REAR, line, 0.005)
+    crease = low + rng.uniform(0.35, 0.8) * (top - low)
+    sheet = [(-half, low), (half, low), (half, top), (-half, top)]
+    skin.bow(Chart.REAR, sheet, (0.0, rng.uniform(0.6, 1.6)), (0.0, rng.uniform(-0.05, 0.12)))
+    above = [(-half, crease + 0.03), (0, crease), (half, crease + 0.03), (half, top + 0.3), (-half, top + 0.3)]
+    skin.emboss(Chart.REAR, above, rng.uniform(0.012, 0.03), soft=True)
+    skin.shadow(Chart.REAR, above[:3], rng.uniform(0.1, 0.3), 0.06)
+
+
+def _model_names(skin: Skin, half: float, top: float, tall: float, rng: np.random.Generator) -> None:
+    """Letters of chrome on the lid, beside the badge."""
+    z = top - rng.uniform(0.1, 0.9) * tall
+    for side in (-1, 1) if rng.random() < 0.6 else (int(rng.choice([-1, 1])),):
+        start, count = rng.uniform(0.22, 0.36) * half, int(rng.integers(2, 7))
+        for k in range(count):
+            y = side * (start + 0.034 * k)
+            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), CHROME_TONE, LAMP)
+
+
+def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:
+    """Two doors that open to the sides; their windows lie in hollows, and so do their lower halves."""
+    middle = [(0, shape.height - 0.12), (0, 0.45)]
+    skin.line(Chart.REAR, middle, seam, PAINT, 0.014)
+    skin.groove(Chart.REAR, middle)
+    glazed = rng.random() < 0.6
+    for side in (-1, 1):
+        for z0, z1 in ((1.32, 2.0), (0.62, 1.05)):
+            ring = mirrored([(0.09, z0), (0.74, z0), (0.70, z1), (0.09, z1)], side)
+            skin.emboss(Chart.REAR, rounded(ring, 0.08), -0.018, soft=True)
+            if glazed and z0 > 1:
+                gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng)
+        edge = mirrored([(0.84, 0.5), (0.84, 2.05), (0.72, 2.2), (0, 2.22)], side)
+        skin.groove(Chart.REAR, edge, 0.006)
+        skin.shadow(Chart.REAR, edge, 0.25, 0.04)
+        for z in (0.8, 1.7):
+            skin.rectangle(Chart.REAR, (side * 0.84, z), (side * 0.90, z + 0.08), TRIM, MATTE)
+    skin.rectangle(Chart.REAR, (0.04, 1.12), (0.2, 1.17), TRIM, MATTE)
+
+
+def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.random.Generator) -> None:
+    half = shape.width / 2
+    low, high = shape.rear_window[1] + 0.03, shape.roof_rear[1] - 0.05
+    y0, y1 = cabin_edge(shape, half, low) - 0.10, cabin_edge(shape, half, high) - 0.12
+    ring = [(-y0, low), (y0, low), (y1, high), (-y1, high)]
+    inner = pane(skin, Chart.REAR, ring, style.rear_glass)
+    placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])
+    behind_rear_screen(skin, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
+    gleam(skin, Chart.REAR, inner, rng)
+    if shape.kind != "saloon" and rng.random() < 0.6:
+        wiper = [(0.0, low + 0.01), (0.35, low + 0.09)]
+        skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
+    third: tuple[Colour, int] = ((0.6, 0.08, 0.08), LIT) if braking else ((0.06, 0.010, 0.011), GLASS)
+    skin.rectangle(Chart.REAR, (-0.14, high - 0.025), (0.14, high + 0.01), *third)
+
+
+def _tail_lamps(
+    skin: Skin, shape: Shape, style: Style, top: float, tall: float, rng: np.random.Generator, lamps: bool,
+    braking: bool,
+) -> None:  # fmt: skip
+    """A lamp is a bowl behind bowed glass: red above, a pale part, its foot in shadow, the sky on its upper edge."""
+    half, family, wide = shape.width / 2, _TAIL_LAMPS[style.rear_lamp], style.rear_lamp == _ACROSS
+    bright = rng.uniform(0.7, 1.3)
+    unlit: Colour = (0.21 * bright, 0.019 * bright, 0.024 * bright)
+    red: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
+    clear: Colour = dim((0.30, 0.26, 0.25), rng.uniform(0.7, 1.4))
+    pale, mirrored_sky = rng.random(), rng.uniform(0.05, 0.3)
+    band = rng.uniform(0.45, 0.7)
+    for side in (-1, 1):
+        ring = np.array(mirrored([(share * half, top - down * tall) for share, down in family], side))
+        smooth, middle = rounded(ring, 0.08), ring.mean(axis=0)
+        inner = middle + 0.92 * (smooth - middle)
+        skin.polygon(Chart.REAR, smooth, dim(unlit, 0.2), LAMP)
+        skin.polygon(Chart.REAR, inner, unlit, LAMP)
+        skin.fade(Chart.REAR, inner, dim(unlit, 0.15), (0.0, rng.uniform(0.4, 0.8)))
+        heart = (
+            np.array([side * 0.86 * half, middle[1]]) if wide else middle + np.array([side * 0.05 * half, 0.12 * tall])
+        )
+        glow = rounded(heart + (0.16 if wide else 0.5) * (ring - middle), 0.1)
+        if lamps or braking:
+            skin.polygon(Chart.REAR, glow, red, LIT)
+            core: Colour = (0.62, 0.085, 0.10) if braking else dim(red, 1.5)
+            skin.polygon(Chart.REAR, heart + 0.6 * (glow - heart), core, LIT)
+        else:
+            skin.polygon(Chart.REAR, glow, dim(unlit, 1.5), LAMP)
+        if not wide and pale < 0.75:  # reversing lamp and indicator
+            inner_end = float(np.abs(ring[:, 0]).min()) + 0.02
+            z0 = top - band * tall - 0.1 * tall
+            ends = (inner_end, 0.84 * half) if pale < 0.4 else (0.80 * half, 0.97 * half)
+            strip = [(ends[0], z0), (ends[1], z0), (ends[1] - 0.01, z0 + 0.2 * tall), (ends[0] + 0.01, z0 + 0.2 * tall)]
+            skin.polygon(Chart.REAR, rounded(mirrored(strip, side), 0.1), clear, LAMP)
+        skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
+        skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.4, 0.025)
+        skin.bow(Chart.REAR, smooth, (1.2, 1.6), (0.0, 0.2))
+    end = shell_end(shape)
+    reach = end + float(setback(shape, end, 0.95 * half)) - 0.16
+    above = top + max(-min(down for _, down in family), 0.0) * tall
+    seen = [(end, top - 0.85 * tall), (reach + 0.05, top - 0.7 * tall), (reach, above - 0.04), (end, above)]
+    skin.polygon(Chart.SIDE, seen, dim(unlit, 0.8), LAMP)
