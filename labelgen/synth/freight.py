@@ -238,6 +238,23 @@ def _sign(skin: Skin, chart: Chart, y: float, z: float, wide: float, rng: np.ran
             skin.rectangle(chart, (left, low), (left + 0.07, low + 0.08), tone, LIT if lit else GLASS)
 
 
+def _advertisement(skin: Skin, place: tuple[float, float, float], rng: np.random.Generator) -> None:
+    """A poster on a bus's back. `place`: half its width, its foot and its top, metres."""
+    half, low, high = place
+    if high - low < 0.3:
+        return
+    skin.rectangle(Chart.REAR, (-half, low), (half, high), _ink(rng), PAINT)
+    y, z = rng.uniform(-0.6, 0.6) * half, rng.uniform(low, high)
+    reach = min(high - z, z - low) + 0.1
+    ring = np.stack([y + 0.5 * half * np.cos(np.arange(12) * np.pi / 6), z + reach * np.sin(np.arange(12) * np.pi / 6)], 1)
+    skin.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), _ink(rng), PAINT)
+    for line in np.arange(low + 0.07, high - 0.1, rng.uniform(0.12, 0.2)).tolist():
+        ink, at, size = _ink(rng), -0.85 * half, rng.uniform(0.04, 0.08)
+        while at < rng.uniform(0.2, 0.85) * half:
+            skin.rectangle(Chart.REAR, (at, line), (at + size * rng.uniform(0.4, 0.9), line + size), ink, PAINT)
+            at += 1.1 * size
+
+
 def draw_bus_rear(
     skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, *, lamps: bool
 ) -> None:
@@ -257,8 +274,8 @@ def draw_bus_rear(
         back = [(y * half - 0.17, low + 0.08), (y * half + 0.17, low + 0.08), (y * half + 0.13, low + 0.3)]
         skin.polygon(Chart.REAR, [*back, (y * half - 0.13, low + 0.3)], (tone, tone, 1.1 * tone), GLASS)
     gleam(skin, Chart.REAR, inner, rng, 0.6)
-    if rng.random() < 0.5:
-        _sign(skin, Chart.REAR, rng.uniform(-0.3, 0.3), top + 0.08, 0.3, rng)
+    if rng.random() < 0.75:
+        _sign(skin, Chart.REAR, rng.uniform(-0.3, 0.3), top + 0.08, rng.uniform(0.3, 0.7), rng)
     for z in (low - 0.1, 0.5 * (bumper + low) - 0.1):  # the cover's and the lid's gaps
         skin.line(Chart.REAR, [(-0.8 * half, z), (0.8 * half, z)], dim(paint, 0.6), PAINT)
         skin.groove(Chart.REAR, [(-0.8 * half, z), (0.8 * half, z)], 0.006)
@@ -266,6 +283,8 @@ def draw_bus_rear(
     skin.rectangle(Chart.REAR, vent, (-vent[0], vent[1] + 0.28), dim(paint, 0.4), MATTE)
     for z in np.arange(vent[1] + 0.03, vent[1] + 0.27, 0.06).tolist():
         skin.line(Chart.REAR, [(vent[0], z), (-vent[0], z)], dim(paint, 0.22), MATTE, 0.02)
+    if rng.random() < 0.6:  # an advertisement: a picture, and lines of letters on it
+        _advertisement(skin, (0.7 * half, vent[1] + 0.36, low - 0.16), rng)
     red: Colour = (0.18, 0.017, 0.022)
     for side in (-1, 1):
         y = side * 0.86 * half

@@ -120,7 +120,7 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
     outline = np.concatenate([np.stack([d, z - frame], 1)[inside], [[d[inside][-1], sill], [d[inside][0], sill]]])
     if style.chrome:
         # As a bright tone: materials do not mix, and a mirroring line thinner than a pixel would be drawn in dashes.
-        skin.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), CHROME_TONE, LAMP, 0.035)
+        skin.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), dim(CHROME_TONE, 0.55), LAMP, 0.03)
     skin.polygon(Chart.SIDE, outline, BLACK, GLASS)
     inner = outline + np.where(outline[:, 1:] > sill, [[0, -0.025]], [[0, 0.012]])
     skin.polygon(Chart.SIDE, inner, style.rear_glass, GLASS)

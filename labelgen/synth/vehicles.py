@@ -23,7 +23,7 @@ __all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.64, 0.65, 0.64), 0.0, 0.25),
+    ((0.73, 0.735, 0.73), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.085, 0.088, 0.092), 0.6, 0.19),
     ((0.018, 0.018, 0.020), 0.3, 0.20),
@@ -160,7 +160,7 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
         return _Body(VehicleClass.VEHICLE, None, mesh, size, colour, metal)
     check_kinds([kind])
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
-        colour, metal = (0.68, 0.68, 0.67), 0.0
+        colour, metal = (0.73, 0.73, 0.72), 0.0
     if kind == "bus":
         shares = np.array([share for _, share in _BUS_PAINTS])
         faded = _BUS_PAINTS[int(rng.choice(len(_BUS_PAINTS), p=shares / shares.sum()))][0]
