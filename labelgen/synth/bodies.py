@@ -115,8 +115,10 @@ def _shell(shape: Shape) -> Mesh:
     half = _half_width(shape, d)
     low = shape.clearance + 0.10 * np.clip(1 - d / 0.4, 0, 1) + 0.10 * np.clip(1 - (end - d) / 0.4, 0, 1)
     middle = np.minimum(shape.clearance + 0.38, z_top - 0.12)
-    shoulder = np.minimum(shape.belt - 0.03, z_top - 0.06)
+    shoulder = np.minimum(shape.belt - 0.03, z_top - 0.08)
     above = np.maximum(z_top - 0.05 - shoulder, 0)
+    # Roofs are arched across, and round at their edges where they stand well above the belt; so are bonnets.
+    crown = np.minimum(0.045, 0.02 + 0.05 * above) if shape.cargo is None and shape.kind != "bus" else 0.0 * d
     edge = cabin_edge(shape, half, z_top - 0.05)
     # Where there is no cabin the top curves over to the bonnet or boot lid.
     edge = np.minimum(edge, 0.93 * half - 0.03)
@@ -127,12 +129,13 @@ def _shell(shape: Shape) -> Mesh:
         (0.955 * half, low + 0.05),
         (0.985 * half, low + 0.16),
         (half, middle),
-        (0.992 * half, 0.5 * (middle + shoulder)),
-        (0.965 * half, shoulder),
-        (0.935 * half, shoulder + np.minimum(0.035, 0.5 * (z_top - shoulder))),
-        (edge, z_top - 0.045),
-        (inner, z_top - 0.012),
-        (0.55 * inner, z_top - 0.003),
+        (0.99 * half, 0.5 * (middle + shoulder)),
+        (0.955 * half, shoulder),
+        (0.925 * half, shoulder + np.minimum(0.035, 0.4 * (z_top - shoulder))),
+        (edge, z_top - 0.035 - 1.1 * crown),
+        (0.6 * edge + 0.4 * inner, z_top - 0.018 - 0.75 * crown),
+        (inner, z_top - 0.008 - 0.5 * crown),
+        (0.5 * inner, z_top - 0.12 * crown),
         (np.zeros_like(d), z_top),
     ]
     sections = np.stack([np.stack(c, axis=1) for c in columns], axis=1)
@@ -178,10 +181,10 @@ def wing_mirrors(shape: Shape) -> list[Mesh]:
     thick = 0.12 if shape.kind == "van" else 0.08
     # Across: foot, the housing's inner end, its middle, its outer end; it leans back a little. The foot is thick enough
     # for the housing not to float beside the body in a coarse picture.
-    across = (-0.13, -0.06, -0.02, 0.065, 0.10)
-    radii = (0.055, 0.05, 0.8 * thick, thick, 0.55 * thick)
+    across = (-0.13, -0.05, 0.0, 0.06, 0.10)
+    radii = (0.05, 0.055, 0.85 * thick, thick, 0.7 * thick)
     spines = [[(x - 0.3 * max(y, 0), side * (half + y), z + 0.2 * y) for y in across] for side in (1, -1)]
-    return [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8) for spine in spines]
+    return [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8, flat=0.75) for spine in spines]
 
 
 def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
@@ -220,6 +223,7 @@ def body_mesh(shape: Shape) -> Mesh:
         front, rear = shape.length / 2 - start, -shape.length / 2
         parts.append(box_mesh((rear, -half, low), (front, half, high)))
         parts.append(box_mesh((rear + 0.1, -0.4 * half, 0.55), (front + 0.5, 0.4 * half, low), chart=Chart.DARK))
+        parts.append(box_mesh((rear + 0.15, -0.85 * half, 0.55), (rear + 0.7, 0.85 * half, low), chart=Chart.DARK))
         parts.append(box_mesh((rear + 0.02, -0.94 * half, 0.45), (rear + 0.12, 0.94 * half, 0.62), chart=Chart.REAR))
         parts += _underneath(shape, low, high)
     mesh = join(parts)

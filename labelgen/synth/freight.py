@@ -64,7 +64,7 @@ def draw_cargo(
         for k, d in enumerate(np.arange(start, length, 0.3).tolist()):
             if k % 2:
                 skin.rectangle(Chart.SIDE, (d, low + 0.09), (d + 0.25, low + 0.13), (0.34, 0.19, 0.06), PAINT)
-        for z0, z1 in ((low + 0.1, low + 0.16), (high - 0.16, high - 0.1)):
+        for z0, z1 in ((low + 0.1, low + 0.16), (high - 0.16, high - 0.1))[: int(rng.integers(1, 3))]:
             skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.24, 0.04, 0.035), PAINT)
     _grime(skin, shape, rng)
     plate(skin, Chart.REAR, (0, 0.55), style.plate, rng)
@@ -78,7 +78,7 @@ def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     side = [(start, low), (length, low), (length, high), (start, high)]
     back = [(-half, low), (half, low), (half, high), (-half, high)]
     for chart, ring in ((Chart.SIDE, side), (Chart.REAR, back)):
-        skin.fade(chart, ring, _GRIME, (rng.uniform(0.0, 0.12), rng.uniform(0.15, 0.5)))
+        skin.fade(chart, ring, _GRIME, (rng.uniform(0.0, 0.2), rng.uniform(0.25, 0.6)))
         skin.bow(chart, ring, (0.02, rng.uniform(0.02, 0.08)))
     for _ in range(int(rng.integers(3, 12))):
         d, long = rng.uniform(start, length), rng.uniform(0.3, 1.6)
@@ -107,9 +107,20 @@ def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator)
             skin.rectangle(
                 Chart.SIDE, (d + 0.3 * wide, base + 0.3 * size), (d + 0.6 * wide, base + 0.6 * size), dim(ink, 2), PAINT
             )
-    if rng.random() < 0.6:
-        at = low + rng.uniform(0.5, 0.7) * tall
-        skin.rectangle(Chart.REAR, (-0.8, at), (0.8, at + 0.35), ink, PAINT)
+    if rng.random() < 0.7:
+        at, left, half = low + rng.uniform(0.4, 0.7) * tall, rng.uniform(-0.95, -0.5), shape.width / 2
+        for row in range(int(rng.integers(1, 4))):
+            end, high_row = rng.uniform(0.2, 0.95), 0.28 / (1 + row)
+            for y in np.arange(left, end, 0.9 * high_row).tolist():
+                ring = [
+                    (y, at),
+                    (y + 0.6 * high_row, at),
+                    (y + 0.65 * high_row, at + high_row),
+                    (y + 0.1, at + high_row),
+                ]
+                if y + 0.65 * high_row < half:
+                    skin.polygon(Chart.REAR, ring, ink, PAINT)
+            at -= 0.75 * high_row
 
 
 def _back_doors(skin: Skin, half: float, low: float, high: float, seam: Colour) -> None:
@@ -246,7 +257,9 @@ def _advertisement(skin: Skin, place: tuple[float, float, float], rng: np.random
     skin.rectangle(Chart.REAR, (-half, low), (half, high), _ink(rng), PAINT)
     y, z = rng.uniform(-0.6, 0.6) * half, rng.uniform(low, high)
     reach = min(high - z, z - low) + 0.1
-    ring = np.stack([y + 0.5 * half * np.cos(np.arange(12) * np.pi / 6), z + reach * np.sin(np.arange(12) * np.pi / 6)], 1)
+    ring = np.stack(
+        [y + 0.5 * half * np.cos(np.arange(12) * np.pi / 6), z + reach * np.sin(np.arange(12) * np.pi / 6)], 1
+    )
     skin.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), _ink(rng), PAINT)
     for line in np.arange(low + 0.07, high - 0.1, rng.uniform(0.12, 0.2)).tolist():
         ink, at, size = _ink(rng), -0.85 * half, rng.uniform(0.04, 0.08)

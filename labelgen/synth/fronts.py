@@ -177,7 +177,7 @@ def _head_lamps(
 ) -> None:
     points = list(_HEAD_LAMPS[style.lamp])
     # Some are silver all over, some dark; those that part from the paint show.
-    low, high = (0.03, 0.16) if paint_level > 0.3 else (0.08, 0.40)
+    low, high = (0.05, 0.16) if paint_level > 0.3 else (0.16, 0.42)
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     glass: Colour = (shine, 1.01 * shine, 1.03 * shine)
     bowls, day_light = rng.random() < 0.55, rng.random() < 0.35
@@ -187,19 +187,16 @@ def _head_lamps(
         skin.polygon(Chart.FRONT, smooth, dim(glass, 0.35), LAMP)
         inner = middle + 0.9 * (smooth - middle)
         skin.polygon(Chart.FRONT, inner, glass, LAMP)
-        skin.fade(Chart.FRONT, inner, dim(glass, 0.3), (0.0, 0.6))
+        skin.fade(Chart.FRONT, inner, dim(glass, 0.3), (0.0, 0.45))
         skin.bow(Chart.FRONT, smooth, (1.0, 1.2), (0.0, 0.35))
         tall = float(np.ptp(smooth[:, 1]))
         for along, up, share in ((0.10, 0.02, 0.34), (-0.12, -0.04, 0.26)):
             spot = (float(middle[0]) + side * along * face.half, float(middle[1]) + up * tall)
             size = min(share * tall, 0.055)
-            if bowls:
-                skin.circle(Chart.FRONT, spot, 1.2 * size, dim(_REFLECTOR, 0.75), LAMP)
-                skin.circle(Chart.FRONT, (spot[0], spot[1] - 0.4 * size), 0.7 * size, dim(_REFLECTOR, 0.4), LAMP)
-            else:
-                skin.circle(Chart.FRONT, spot, size, dim(_REFLECTOR, 0.25), LAMP)
-                skin.circle(Chart.FRONT, spot, 0.8 * size, (0.02, 0.021, 0.024), LAMP)
-            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.25 * size, dim(_REFLECTOR, 1.4), LAMP)
+            inside = dim(glass, 1.8) if bowls else dim(glass, 0.45)
+            skin.circle(Chart.FRONT, spot, 1.2 * size, inside, LAMP)
+            skin.circle(Chart.FRONT, (spot[0], spot[1] - 0.4 * size), 0.7 * size, dim(inside, 0.6), LAMP)
+            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.3 * size, _REFLECTOR, LAMP)
             if lamps and along > 0:
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
         if day_light:

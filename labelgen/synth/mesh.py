@@ -165,14 +165,16 @@ def box_mesh(low: Sequence[float], high: Sequence[float], *, chart: Chart | None
 
 
 def tube_mesh(
-    spine: Sequence[Sequence[float]], radii: Sequence[float], *, chart: Chart | None = None, sides: int = 10
-) -> Mesh:
+    spine: Sequence[Sequence[float]], radii: Sequence[float], *, chart: Chart | None = None, sides: int = 10,
+    flat: float = 1.0,
+) -> Mesh:  # fmt: skip
     """Round body along a polyline of three or more points, closed at its ends: limbs, helmets, tanks.
 
     Args:
         spine: (S, 3) metres.
         radii: (S,) metres.
         sides: corners of each ring.
+        flat: how tall it is, as a share of how thick.
         chart: which drawing it shows; by the faces' directions when None.
     """
     points = np.asarray(spine, dtype=np.float64)
@@ -184,6 +186,7 @@ def tube_mesh(
     other = np.cross(along, across)
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.cos(angle)[None, :, None] * across[:, None] + np.sin(angle)[None, :, None] * other[:, None]
+    ring = ring * [1.0, 1.0, flat]
     rings = points[:, None] + ring * np.asarray(radii, dtype=np.float64)[:, None, None]
     vertices = np.concatenate([rings.reshape(-1, 3), points[[0, -1]]])
     count = len(points)

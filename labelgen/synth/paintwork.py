@@ -137,7 +137,7 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
         skin.rectangle(Chart.SIDE, (p - 0.05, sill), (p + 0.05, shape.height), BLACK, PAINT)
     seats = [(low, sill + 0.012), *((p + dp, sill + dz) for p in _seats(low, high) for dp, dz in _HEAD_REST)]
     skin.polygon(Chart.SIDE, [*seats, (high, sill + 0.012)], dim(style.glass, 0.5), GLASS)
-    gleam(skin, Chart.SIDE, outline, rng)
+    gleam(skin, Chart.SIDE, outline, rng, 0.3)
     # The band of roof above the windows.
     band = np.concatenate([np.stack([d, z + 0.02], 1), np.stack([d, z - frame], 1)[::-1]])
     skin.polygon(Chart.SIDE, band, paint, PAINT)
@@ -200,7 +200,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
         behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
-        gleam(skin, Chart.TOP, ring, rng)
+        gleam(skin, Chart.TOP, ring, rng, 0.2 + 0.25 * style.rear_clear)
     if shape.cowl[0] > 0.6:
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
@@ -212,14 +212,14 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         for y in (edge, -edge):
             skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.6), PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
-    if sunroof < 0.13 and shape.kind not in ("van", "bus") and shape.cargo is None:
-        long = 0.75 if sunroof < 0.08 else roof[1] - roof[0] - 0.3
+    if sunroof < 0.10 and shape.kind not in ("van", "bus") and shape.cargo is None:
+        long = 0.75 if sunroof < 0.06 else roof[1] - roof[0] - 0.3
         long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
-        skin.polygon(Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.008, 0.009, 0.009), GLASS)
+        gleam(skin, Chart.TOP, pane(skin, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)
     if shape.kind == "van":
         for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
-            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.12, -edge), (d + 0.12, edge), (d, edge)], 0.006)
+            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.012, soft=True)
     if rng.random() < 0.6 and shape.cargo is None:
         d = roof[1] - 0.05
         skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
@@ -274,7 +274,7 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
     across = np.linspace(-1, 1, 9).tolist()
     skin.line(Chart.TOP, bowed([(start + 0.01, 0.62 * y) for y in across]), seam, PAINT)
     sheet = bowed([*((start, 0.95 * y) for y in across), *((back, -0.95 * y) for y in across)])
-    skin.bow(Chart.TOP, sheet, (0.0, rng.uniform(0.25, 0.55)))
+    skin.bow(Chart.TOP, sheet, (0.08, rng.uniform(0.2, 0.4)))
     hump = bowed([(start, -0.35), (start, 0.0), (start, 0.35), (back, 0.5), (back, 0.0), (back, -0.5)])
     skin.emboss(Chart.TOP, hump, 0.016, soft=True)
     cowl = bowed([*((back, 0.8 * y) for y in across), *((back + 0.11, -0.8 * y) for y in across)])

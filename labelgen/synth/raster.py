@@ -184,12 +184,17 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
         squared = toward_sun * toward_sun * toward_sun
         if sharp:
             wide = toward_sun**120
-            gleam = paint[1] * (8.0 * wide + 110.0 * wide**12)
-        return (0.055 + 0.945 * fifth) * paint[1], gleam, paint[0] * 0.8 * squared * squared * squared * squared, 1.0
+            gleam = paint[1] * (5.0 * wide + 110.0 * wide**12)
+        return (
+            (0.06 + 0.94 * away * away * away * away) * paint[1],
+            gleam,
+            paint[0] * 0.8 * squared * squared * squared * squared,
+            1.0,
+        )
     if material == GLASS:
         if sharp:
             gleam = 25.0 * toward_sun**600
-        return 0.075 + 0.925 * away * away * away * away, gleam, 0.0, 0.5
+        return 0.065 + 0.935 * fifth, gleam, 0.0, 0.5
     if material == LAMP:
         if sharp:
             gleam = 10.0 * toward_sun**200

@@ -21,6 +21,8 @@ __all__ = ["Colour", "Skin", "dim", "rounded"]
 _PPM, _PPM_LONG = 96, 56
 """Skin pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
 _LONG_M = 6.5
+# By how many texels, where one that is seen squarely fills a pixel.
+_FORESHORTENED = ((Chart.SIDE, 5), (Chart.TOP, 3))
 _FINE_PX, _SOFT_PX, _SOFT_SHADOW_PX = 1.2, 6.0, 5
 
 Colour = tuple[float, float, float]
@@ -194,17 +196,29 @@ class Skin:
     def level(self, metres_per_px: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         """The image and the charts' maps at a resolution that suits pixels of this size: finer would flicker."""
         if not self._levels:
-            self._levels.append((self.image, self.maps))
-            for _ in range(4):
-                image, maps = self._levels[-1]
+            self._levels.append((self._along_the_road(self.image, 1.0), self.maps))
+            image, maps = self.image, self.maps
+            for number in range(4):
                 size = (max(1, image.shape[1] // 2), max(1, image.shape[0] // 2))
                 parts = [cv2.resize(image[..., k : k + 3], size, interpolation=cv2.INTER_AREA) for k in (0, 3)]
                 half: Any = np.concatenate(parts, axis=2)
                 # Materials do not mix.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
-                self._levels.append((half, maps / 2))
+                image, maps = half, maps / 2
+                self._levels.append((self._along_the_road(half, 0.5 ** (number + 1)), maps))
         number = int(np.clip(np.floor(np.log2(max(metres_per_px * self.ppm, 1.0)) + 0.45), 0, 4))
         return self._levels[number]
+
+    def _along_the_road(self, image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+        """A level with sides and top softened along the vehicle: traffic cameras see both drawings foreshortened."""
+        out = image.copy()
+        for chart, texels in _FORESHORTENED:
+            first, last = (round(scale * int(self._tops[chart + k])) for k in (0, 1))
+            if last - first > 1:
+                rows = slice(first, last)
+                for part in (slice(0, 3), slice(4, 6)):  # all but the material
+                    out[rows, :, part] = cv2.blur(np.ascontiguousarray(image[rows, :, part]), (texels, 1))
+        return out
 
 
 def _texel(colour: Colour, material: int) -> tuple[int, int, int, int]:

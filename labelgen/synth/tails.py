@@ -34,7 +34,7 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     braking = bool(rng.random() < 0.12)
     foot = shape.clearance + 0.09 + style.cladding
     van = shape.kind == "van"
-    top, tall = (1.15, 0.3) if van else (shape.tail - 0.03, rng.uniform(0.15, 0.23))
+    top, tall = (1.15, 0.3) if van else (shape.tail - 0.02, rng.uniform(0.19, 0.28))
     bumper_top = foot + (shape.tail - foot) * rng.uniform(0.34, 0.5) if not van else shape.clearance + 0.34
     _bumper(skin, shape, paint, style, (foot, bumper_top), rng)
     if van:
@@ -117,7 +117,7 @@ def _model_names(skin: Skin, half: float, top: float, tall: float, rng: np.rando
         start, count = rng.uniform(0.22, 0.36) * half, int(rng.integers(2, 7))
         for k in range(count):
             y = side * (start + 0.034 * k)
-            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), CHROME_TONE, LAMP)
+            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), dim(CHROME_TONE, 0.6), LAMP)
 
 
 def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:
@@ -131,7 +131,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
             ring = mirrored([(0.09, z0), (0.74, z0), (0.70, z1), (0.09, z1)], side)
             skin.emboss(Chart.REAR, rounded(ring, 0.08), -0.018, soft=True)
             if glazed and z0 > 1:
-                gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng)
+                gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng, 0.9)
         edge = mirrored([(0.84, 0.5), (0.84, 2.05), (0.72, 2.2), (0, 2.22)], side)
         skin.groove(Chart.REAR, edge, 0.006)
         skin.shadow(Chart.REAR, edge, 0.25, 0.04)
@@ -148,7 +148,7 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.
     inner = pane(skin, Chart.REAR, ring, style.rear_glass)
     placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])
     behind_rear_screen(skin, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
-    gleam(skin, Chart.REAR, inner, rng)
+    gleam(skin, Chart.REAR, inner, rng, 0.2 + 0.25 * style.rear_clear)
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low + 0.01), (0.35, low + 0.09)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
@@ -163,10 +163,10 @@ def _tail_lamps(
     """A lamp is a bowl behind bowed glass: red above, a pale part, its foot in shadow, the sky on its upper edge."""
     half, family, wide = shape.width / 2, _TAIL_LAMPS[style.rear_lamp], style.rear_lamp == _ACROSS
     bright = rng.uniform(0.7, 1.3)
-    unlit: Colour = (0.21 * bright, 0.019 * bright, 0.024 * bright)
+    unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     red: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
     clear: Colour = dim((0.30, 0.26, 0.25), rng.uniform(0.7, 1.4))
-    pale, mirrored_sky = rng.random(), rng.uniform(0.05, 0.3)
+    pale, mirrored_sky = rng.random(), rng.uniform(0.0, 0.15)
     band = rng.uniform(0.45, 0.7)
     for side in (-1, 1):
         ring = np.array(mirrored([(share * half, top - down * tall) for share, down in family], side))
@@ -193,7 +193,7 @@ def _tail_lamps(
             skin.polygon(Chart.REAR, rounded(mirrored(strip, side), 0.1), clear, LAMP)
         skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
         skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.4, 0.025)
-        skin.bow(Chart.REAR, smooth, (1.2, 1.6), (0.0, 0.2))
+        skin.bow(Chart.REAR, smooth, (0.8, 1.0), (0.0, 0.06))
     end = shell_end(shape)
     reach = end + float(setback(shape, end, 0.95 * half)) - 0.16
     above = top + max(-min(down for _, down in family), 0.0) * tall

@@ -26,7 +26,7 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.73, 0.735, 0.73), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.085, 0.088, 0.092), 0.6, 0.19),
-    ((0.018, 0.018, 0.020), 0.3, 0.20),
+    ((0.013, 0.0125, 0.014), 0.3, 0.20),
     ((0.027, 0.043, 0.070), 0.5, 0.06),
     ((0.12, 0.17, 0.25), 0.6, 0.03),
     ((0.18, 0.031, 0.030), 0.2, 0.03),
@@ -127,7 +127,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
     else:
         skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
     skin.level(0.0)  # every level now rather than in the first frame
-    paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.03, 0.25)])
+    paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.02, 0.18)])
     return Vehicle(kind, body.vehicle_class, body.size_lwh, mesh, skin, paint)
 
 
