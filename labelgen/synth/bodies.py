@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labelgen.synth.mesh import Chart, Mesh, box_mesh, join, loft, tube_mesh, wheel_mesh
 from labelgen.synth.shapes import Shape
 
-__all__ = ["MIRROR", "body_mesh", "cabin_edge", "face_edge", "setback", "shell_end", "top_line", "wing_mirrors"]
+__all__ = ["MIRROR", "body_mesh", "cabin_edge", "face_edge", "outside_parts", "setback", "shell_end", "top_line"]
 
 MIRROR = 0.01
 """How far a wing mirror stands out from the body, metres."""
@@ -95,7 +95,7 @@ def _bow(shape: Shape, d: Any) -> NDArray[np.float64]:
 def cabin_edge(shape: Shape, half_width: Any, z: Any) -> Any:
     """Half-width of the body at a height above the belt, where windows lean inwards, most below the roof's edge."""
     up = np.maximum(z - shape.belt, 0)
-    return 0.93 * half_width - shape.tumble * (up + 0.35 * up**2)
+    return 0.93 * half_width - shape.tumble * (up + 0.2 * up**2)
 
 
 def _stations(shape: Shape) -> NDArray[np.float64]:
@@ -169,8 +169,8 @@ def _mirrors(shape: Shape) -> list[Mesh]:
     return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.11, z + tall), chart=Chart.MIRROR) for low in lows]
 
 
-def wing_mirrors(shape: Shape) -> list[Mesh]:
-    """What of a car's wing mirrors stands out from its body, on a short foot; in the frame of `body_mesh`.
+def outside_parts(shape: Shape) -> list[Mesh]:
+    """What of a car's wing mirrors stands out from its body, on a short foot, and its aerial; as `body_mesh` lies.
 
     They are drawn, but belong neither to the body's cuboid nor to its mask.
     """
@@ -184,7 +184,12 @@ def wing_mirrors(shape: Shape) -> list[Mesh]:
     across = (-0.13, -0.05, 0.0, 0.06, 0.10)
     radii = (0.05, 0.055, 0.85 * thick, thick, 0.7 * thick)
     spines = [[(x - 0.3 * max(y, 0), side * (half + y), z + 0.2 * y) for y in across] for side in (1, -1)]
-    return [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8, flat=0.75) for spine in spines]
+    parts = [tube_mesh(spine, radii, chart=Chart.MIRROR, sides=8, flat=0.75) for spine in spines]
+    if shape.aerial is not None:
+        foot, z = shape.length / 2 - shape.aerial, float(np.interp(shape.aerial, *top_line(shape))) - 0.02
+        whip = [(foot - 0.25 * up, 0.0, z + up) for up in (0.0, 0.17, 0.34)]
+        parts.append(tube_mesh(whip, (0.007, 0.005, 0.004), chart=Chart.DARK, sides=4))
+    return parts
 
 
 def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
@@ -223,7 +228,7 @@ def body_mesh(shape: Shape) -> Mesh:
         front, rear = shape.length / 2 - start, -shape.length / 2
         parts.append(box_mesh((rear, -half, low), (front, half, high)))
         parts.append(box_mesh((rear + 0.1, -0.4 * half, 0.55), (front + 0.5, 0.4 * half, low), chart=Chart.DARK))
-        parts.append(box_mesh((rear + 0.15, -0.85 * half, 0.55), (rear + 0.7, 0.85 * half, low), chart=Chart.DARK))
+        parts.append(box_mesh((rear + 0.15, -0.55 * half, 0.6), (rear + 0.7, 0.55 * half, low), chart=Chart.DARK))
         parts.append(box_mesh((rear + 0.02, -0.94 * half, 0.45), (rear + 0.12, 0.94 * half, 0.62), chart=Chart.REAR))
         parts += _underneath(shape, low, high)
     mesh = join(parts)

@@ -63,6 +63,16 @@ def _light_beyond(skin: Skin, chart: Chart, placed: OnScreen, level: float, heig
         skin.polygon(chart, placed([(side * y, z) for y, z in door]), dim(tint, 0.75), GLASS)
 
 
+def _mirrored_patches(skin: Skin, chart: Chart, placed: OnScreen, rng: np.random.Generator) -> None:
+    """Gaps of sky between what the glass mirrors of the roadside, softly: several faint layers of each."""
+    for _ in range(int(rng.integers(1, 5))):
+        at, up, level = rng.uniform(-0.9, 0.9), rng.uniform(0.2, 0.95), rng.uniform(0.02, 0.10)
+        wide, tall = rng.uniform(0.08, 0.35), rng.uniform(0.06, 0.25)
+        for size in (1.0, 0.75, 0.5):
+            ring = placed(_blob(at, up, size * wide, size * tall, 2).clip([-0.98, 0.0], [0.98, 1.0]))
+            skin.fade(chart, ring, (level, 1.15 * level, 1.15 * level), (0.4, 0.4))
+
+
 def behind_windscreen(
     skin: Skin, chart: Chart, placed: OnScreen, glass: Colour, clear: float, rng: np.random.Generator
 ) -> None:
@@ -77,6 +87,7 @@ def behind_windscreen(
         rng: decides who and what is there.
     """
     shelf = rng.uniform(0.14, 0.24)
+    _mirrored_patches(skin, chart, placed, rng)
     _light_beyond(skin, chart, placed, glass[1] + 0.13 * clear, (rng.uniform(0.50, 0.58), rng.uniform(0.76, 0.86)))
     beside = rng.random() < 0.35
     for side in (-1, 1):
@@ -119,8 +130,9 @@ def behind_rear_screen(
 ) -> None:
     """Parcel shelf, head rests, the windscreen's light far ahead; arguments as for `behind_windscreen`."""
     low = rng.uniform(0.36, 0.48)
-    _light_beyond(skin, chart, placed, glass[1] + 0.16 * clear, (low, rng.uniform(0.76, 0.88)))
-    seat = _grey(rng, 0.006, 0.02)
+    _light_beyond(skin, chart, placed, glass[1] + rng.uniform(0.1, 0.26) * clear, (low, rng.uniform(0.76, 0.88)))
+    lit = 0.25 + 0.75 * clear
+    seat = dim(_grey(rng, 0.008, 0.09), lit)
     for at in (-0.42, 0.42):  # in front
         skin.polygon(chart, placed(_blob(at, low + 0.05, 0.12, 0.17)), dim(seat, 0.8), GLASS)
     if rng.random() < 0.7:
@@ -130,9 +142,9 @@ def behind_rear_screen(
     for at in (-0.5, 0.5) if rng.random() < 0.6 else (-0.5, 0.0, 0.5):
         skin.polygon(chart, placed(_blob(at, low - 0.10 + rests, 0.11, 0.10, 4)), dim(seat, 1.2), GLASS)
     shelf = rng.uniform(0.08, 0.2)
-    tone = _grey(rng, 0.010, 0.05)
+    tone = dim(_grey(rng, 0.02, 0.22), lit)
     skin.polygon(chart, placed([(-0.97, 0), (0.97, 0), (0.92, shelf), (-0.92, shelf)]), tone, GLASS)
-    if rng.random() < 0.3:  # luggage, toys, papers
+    if rng.random() < 0.3 * lit + 0.1:  # luggage, toys, papers
         level = rng.uniform(0.03, 0.25)
         thing: Colour = (level, level * rng.uniform(0.7, 1.0), level * rng.uniform(0.5, 1.0))
         at, wide = rng.uniform(-0.6, 0.6), rng.uniform(0.06, 0.18)

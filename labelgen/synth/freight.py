@@ -38,6 +38,7 @@ def draw_cargo(
             skin.polygon(Chart.SIDE, rounded(ring, 0.06), (level, level, level), MATTE)
     skin.rectangle(Chart.SIDE, (start - 0.05, low - 0.05), (length + 0.1, high + 0.1), colour, PAINT)
     skin.rectangle(Chart.TOP, (start - 0.05, -half - 0.3), (length + 0.1, half + 0.3), dim(colour, 0.9), MATTE)
+    _stains(skin, (start, length), half, rng)
     skin.rectangle(Chart.REAR, (-half - 0.2, low - 0.05), (half + 0.2, high + 0.1), colour, PAINT)
     skin.rectangle(Chart.FRONT, (-half - 0.2, shape.roof_rear[1] + 0.1), (half + 0.2, high + 0.1), colour, PAINT)
     skin.rectangle(Chart.REAR, (-half, 0), (half, low - 0.05), TRIM, MATTE)
@@ -55,11 +56,16 @@ def draw_cargo(
         skin.line(Chart.SIDE, [(start, edge), (length, edge)], _STEEL, MATTE, 0.06)
         skin.line(Chart.REAR, [(-half, edge), (half, edge)], _STEEL, MATTE, 0.08)
     _back_doors(skin, half, low, high, seam)
+    striped = rng.random() < 0.35
     red: Colour = (0.40, 0.03, 0.03) if lamps else (0.22, 0.018, 0.024)
     for side in (-1, 1):
         skin.rectangle(Chart.REAR, (side * 0.70, 0.46), (side * 1.14, 0.62), BLACK, MATTE)
         skin.rectangle(Chart.REAR, (side * 0.74, 0.49), (side * 0.98, 0.59), red, LIT if lamps else LAMP)
         skin.rectangle(Chart.REAR, (side * 0.99, 0.49), (side * 1.08, 0.57), (0.24, 0.12, 0.035), LAMP)
+        for k in range(5) if striped else ():
+            y = side * (0.06 + 0.13 * k)
+            tone: Colour = (0.30, 0.03, 0.03) if k % 2 else (0.5, 0.5, 0.48)
+            skin.polygon(Chart.REAR, [(y, 0.47), (y + 0.1, 0.47), (y + 0.14, 0.61), (y + 0.04, 0.61)], tone, PAINT)
     if rng.random() < 0.6:  # reflecting strips along the edges
         for k, d in enumerate(np.arange(start, length, 0.3).tolist()):
             if k % 2:
@@ -68,6 +74,23 @@ def draw_cargo(
             skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.24, 0.04, 0.035), PAINT)
     _grime(skin, shape, rng)
     plate(skin, Chart.REAR, (0, 0.55), style.plate, rng)
+
+
+def _stains(skin: Skin, ends: tuple[float, float], half: float, rng: np.random.Generator) -> None:
+    """What rain and leaves leave on a roof: an even veil, blots, and joints between its sheets."""
+    start, end = ends
+    sheet = [(start, -half), (end, -half), (end, half), (start, half)]
+    veil = rng.uniform(0.1, 0.45)
+    skin.fade(Chart.TOP, sheet, _GRIME, (veil, veil * rng.uniform(0.5, 1.2)), level=True)
+    for _ in range(int(rng.integers(4, 14))):
+        d, y = rng.uniform(start, end), rng.uniform(-half, half)
+        angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        reach = rng.uniform(0.1, 0.9) * rng.uniform(0.6, 1.4, 12)
+        blot = np.stack([d + 1.5 * reach * np.cos(angle), y + 0.6 * reach * np.sin(angle)], axis=1)
+        skin.fade(Chart.TOP, blot.clip([start, -half], [end, half]), _GRIME, (rng.uniform(0.05, 0.3),) * 2)
+    for d in np.arange(start + rng.uniform(0.6, 1.5), end, rng.uniform(0.9, 2.4)).tolist():
+        skin.groove(Chart.TOP, [(d, -half), (d, half)], 0.006)
+        skin.shadow(Chart.TOP, [(d, -half), (d, half)], 0.12, 0.04)
 
 
 def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:

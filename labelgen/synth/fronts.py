@@ -177,7 +177,7 @@ def _head_lamps(
 ) -> None:
     points = list(_HEAD_LAMPS[style.lamp])
     # Some are silver all over, some dark; those that part from the paint show.
-    low, high = (0.05, 0.16) if paint_level > 0.3 else (0.16, 0.42)
+    low, high = (0.06, 0.2) if paint_level > 0.3 else (0.22, 0.5)
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     glass: Colour = (shine, 1.01 * shine, 1.03 * shine)
     bowls, day_light = rng.random() < 0.55, rng.random() < 0.35
@@ -196,7 +196,7 @@ def _head_lamps(
             inside = dim(glass, 1.8) if bowls else dim(glass, 0.45)
             skin.circle(Chart.FRONT, spot, 1.2 * size, inside, LAMP)
             skin.circle(Chart.FRONT, (spot[0], spot[1] - 0.4 * size), 0.7 * size, dim(inside, 0.6), LAMP)
-            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.3 * size, _REFLECTOR, LAMP)
+            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.45 * size, dim(_REFLECTOR, 1.5), LAMP)
             if lamps and along > 0:
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
         if day_light:

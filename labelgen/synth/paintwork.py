@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ def draw_skin(
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
         skin.fill(chart, paint, PAINT)
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
-    skin.fill(Chart.MIRROR, dim(paint, 0.8) if rng.random() < 0.75 else TRIM, PAINT)
+    skin.fill(Chart.MIRROR, dim(paint, 0.85) if rng.random() < 0.85 else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_wheels(skin, shape, rng)
@@ -133,11 +134,19 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
         skin.polygon(Chart.SIDE, np.concatenate([front[:-1], edge, front[-1:]]), style.glass, GLASS)
     within = [(low, sill + 0.012), (high, sill + 0.012), (high, sill + 0.09), (low, sill + 0.06)]
     skin.polygon(Chart.SIDE, within, dim(style.glass, 2.2), GLASS)
-    for p in pillars:
-        skin.rectangle(Chart.SIDE, (p - 0.05, sill), (p + 0.05, shape.height), BLACK, PAINT)
     seats = [(low, sill + 0.012), *((p + dp, sill + dz) for p in _seats(low, high) for dp, dz in _HEAD_REST)]
     skin.polygon(Chart.SIDE, [*seats, (high, sill + 0.012)], dim(style.glass, 0.5), GLASS)
-    gleam(skin, Chart.SIDE, outline, rng, 0.3)
+    # Each pane stands a little askew and mirrors another part of what is beside the road.
+    for start, end in pairwise([low, *pillars, high]):
+        ring = [(start, sill), (end, sill), (end, shape.height), (start, shape.height)]
+        level = float(rng.uniform(0.04, 0.26))
+        skin.fade(Chart.SIDE, ring, (0.85 * level, level, 1.05 * level), (rng.uniform(0.3, 0.6), 0.08))
+    body_pillars = rng.random() < 0.25
+    for p in pillars:
+        tone = dim(paint, 0.9) if body_pillars else BLACK
+        skin.rectangle(Chart.SIDE, (p - 0.06, sill), (p + 0.06, shape.height), tone, PAINT)
+        skin.shadow(Chart.SIDE, [(p - 0.07, sill), (p - 0.07, shape.height)], 0.3, 0.03)
+    skin.line(Chart.SIDE, [(low, sill), (high, sill)], (0.03, 0.03, 0.032), PAINT, 0.03)
     # The band of roof above the windows.
     band = np.concatenate([np.stack([d, z + 0.02], 1), np.stack([d, z - frame], 1)[::-1]])
     skin.polygon(Chart.SIDE, band, paint, PAINT)
@@ -210,7 +219,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
             skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
     elif shape.kind != "bus" and shape.cargo is None:
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.6), PAINT)
+            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.75), PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
     if sunroof < 0.10 and shape.kind not in ("van", "bus") and shape.cargo is None:
         long = 0.75 if sunroof < 0.06 else roof[1] - roof[0] - 0.3
@@ -238,10 +247,10 @@ def _top_pane(
         Its outline, foot first, and what places things on it.
     """
     half = shape.width / 2
-    edge = [cabin_edge(shape, half, z) - 0.05 for _, z in (near, far)]
+    edge = [cabin_edge(shape, half, z) - 0.04 for _, z in (near, far)]
     d0, d1 = near[0] + gap * (far[0] - near[0]), far[0] - 0.06 * (far[0] - near[0])
     across = np.linspace(1, -1, 9)
-    y0, y1 = (edge[0] - 0.02) * across, (edge[1] - 0.04) * across
+    y0, y1 = (edge[0] - 0.02) * across, (edge[1] - 0.025) * across
     # Seen from above both edges are bows, as the body is there.
     lower = np.stack([d0 + setback(shape, d0, y0), y0], axis=1)
     upper = np.stack([d1 + setback(shape, d1, y1), y1], axis=1)
@@ -268,7 +277,7 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         skin.shadow(Chart.TOP, gap, 0.15, 0.04)
         inner = rng.uniform(0.3, 0.6)
         crease = bowed([(start, side * 0.7 * inner), (back, side * inner)])
-        skin.groove(Chart.TOP, crease, -0.004, 0.05)
+        skin.groove(Chart.TOP, crease, -0.004, 0.09)
         wiper = bowed([(back + 0.04, side * 0.1), (back + 0.07, side * 0.35), (back + 0.10, side * 0.6)])
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     across = np.linspace(-1, 1, 9).tolist()
@@ -276,6 +285,6 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
     sheet = bowed([*((start, 0.95 * y) for y in across), *((back, -0.95 * y) for y in across)])
     skin.bow(Chart.TOP, sheet, (0.08, rng.uniform(0.2, 0.4)))
     hump = bowed([(start, -0.35), (start, 0.0), (start, 0.35), (back, 0.5), (back, 0.0), (back, -0.5)])
-    skin.emboss(Chart.TOP, hump, 0.016, soft=True)
+    skin.emboss(Chart.TOP, hump, rng.uniform(0.002, 0.012), soft=True)
     cowl = bowed([*((back, 0.8 * y) for y in across), *((back + 0.11, -0.8 * y) for y in across)])
     skin.polygon(Chart.TOP, cowl, BLACK, MATTE)

@@ -186,7 +186,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
             wide = toward_sun**120
             gleam = paint[1] * (5.0 * wide + 110.0 * wide**12)
         return (
-            (0.06 + 0.94 * away * away * away * away) * paint[1],
+            (0.05 + 0.95 * away * away * away) * paint[1],
             gleam,
             paint[0] * 0.8 * squared * squared * squared * squared,
             1.0,

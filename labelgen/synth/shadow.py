@@ -50,7 +50,8 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
             pieces.append(piece)
     mesh = vehicle.mesh
     beside = mesh.vertices[np.unique(mesh.triangles[len(mesh.body) :])]
-    mirrors = [beside[beside[:, 1] * side > 0] for side in (1, -1)]
+    # Mirrors alone: an aerial's shadow is too thin to see.
+    mirrors = [beside[beside[:, 1] * side > 0.25 * vehicle.size_lwh[1]] for side in (1, -1)]
     return (pieces or [points]) + [mirror for mirror in mirrors if len(mirror) > 3]
 
 

@@ -35,6 +35,7 @@ class Shape:
         share: how common it is in traffic.
         cargo: (d, clearance, height) of a box body that begins at d; None without one.
         bed: (d, depth) of a pickup's bed; None without one.
+        aerial: d of the foot of a whip aerial on the roof; None without one.
     """
 
     kind: str
@@ -60,6 +61,7 @@ class Shape:
     share: float
     cargo: tuple[float, float, float] | None = None
     bed: tuple[float, float] | None = None
+    aerial: float | None = None
 
 
 _CAR, _TRUCK, _BUS = VehicleClass.CAR, VehicleClass.TRUCK, VehicleClass.BUS
@@ -69,17 +71,17 @@ BODY_TYPES: dict[str, Shape] = {
     shape.kind: shape
     for shape in (
         Shape("supermini", 3.80, 1.69, 1.49, 0.18, 0.80, (0.76, 1.01), (1.56, 1.42), (3.05, 1.42), (3.62, 0.99), 0.88,
-              0.93, 0.36, 0.08, 0.22, 0.14, (0.74, 3.20), 0.30, 2, _CAR, 0.12),
+              0.93, 0.33, 0.08, 0.22, 0.14, (0.74, 3.20), 0.30, 2, _CAR, 0.12),
         Shape("hatchback", 4.24, 1.79, 1.47, 0.17, 0.79, (0.92, 1.00), (1.80, 1.41), (3.32, 1.41), (4.02, 0.99), 0.90,
-              0.92, 0.40, 0.08, 0.24, 0.14, (0.85, 3.48), 0.32, 2, _CAR, 0.24),
+              0.92, 0.37, 0.08, 0.24, 0.14, (0.85, 3.48), 0.32, 2, _CAR, 0.24),
         Shape("saloon", 4.70, 1.82, 1.45, 0.16, 0.77, (1.09, 0.99), (2.02, 1.39), (3.12, 1.40), (4.00, 1.04), 0.98,
-              0.91, 0.42, 0.08, 0.25, 0.15, (0.90, 3.66), 0.33, 2, _CAR, 0.17),
+              0.91, 0.39, 0.08, 0.25, 0.15, (0.90, 3.66), 0.33, 2, _CAR, 0.17),
         Shape("estate", 4.65, 1.81, 1.48, 0.16, 0.78, (1.05, 1.00), (1.95, 1.41), (4.02, 1.41), (4.50, 0.99), 0.90,
-              0.92, 0.38, 0.08, 0.24, 0.13, (0.90, 3.62), 0.33, 3, _CAR, 0.15),
+              0.92, 0.35, 0.08, 0.24, 0.13, (0.90, 3.62), 0.33, 3, _CAR, 0.15),
         Shape("suv", 4.46, 1.85, 1.66, 0.22, 0.96, (0.98, 1.14), (1.82, 1.58), (3.68, 1.60), (4.26, 1.12), 1.02,
-              1.06, 0.36, 0.07, 0.22, 0.13, (0.88, 3.54), 0.36, 3, _CAR, 0.14),
+              1.06, 0.33, 0.07, 0.22, 0.13, (0.88, 3.54), 0.36, 3, _CAR, 0.14),
         Shape("minivan", 4.40, 1.82, 1.66, 0.18, 0.86, (0.76, 1.07), (1.80, 1.58), (3.80, 1.61), (4.26, 1.03), 0.92,
-              0.98, 0.30, 0.08, 0.22, 0.12, (0.88, 3.60), 0.33, 3, _CAR, 0.05),
+              0.98, 0.27, 0.08, 0.22, 0.12, (0.88, 3.60), 0.33, 3, _CAR, 0.05),
         Shape("van", 5.40, 2.00, 2.40, 0.24, 1.03, (0.72, 1.24), (1.50, 2.13), (5.26, 2.36), (5.36, 1.35), 0.60,
               1.18, 0.10, 0.07, 0.18, 0.03, (0.98, 4.35), 0.34, 1, _CAR, 0.05),
         Shape("pickup", 5.25, 1.86, 1.80, 0.26, 0.97, (1.20, 1.16), (2.02, 1.72), (3.20, 1.74), (3.45, 1.16), 1.10,
@@ -135,6 +137,8 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
     cowl, roof_front = (_stretched(point, along, up) for point in (base.cowl, base.roof_front))
     roof_rear, rear_window = (_stretched(point, along, up) for point in (base.roof_rear, base.rear_window))
     window = min(rear_window[0] + tail, base.length * along - 0.13)
+    places = (None, roof_front[0] + screen + 0.15, roof_rear[0] + tail - 0.15)
+    aerial = places[int(rng.choice(3, p=[0.5, 0.2, 0.3]))] if car else None
     return replace(
         base,
         length=base.length * along,
@@ -155,4 +159,5 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
         wheel=base.wheel * rng.uniform(*_WHEELS),
         cargo=None if base.cargo is None else (base.cargo[0] * along, base.cargo[1], base.cargo[2] * up),
         bed=None if base.bed is None else (base.bed[0] * along, base.bed[1]),
+        aerial=aerial,
     )

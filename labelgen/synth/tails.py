@@ -31,7 +31,7 @@ _ACROSS = 5
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, _SEAM)
-    braking = bool(rng.random() < 0.12)
+    braking = bool(rng.random() < 0.2)
     foot = shape.clearance + 0.09 + style.cladding
     van = shape.kind == "van"
     top, tall = (1.15, 0.3) if van else (shape.tail - 0.02, rng.uniform(0.19, 0.28))
@@ -104,7 +104,7 @@ def _lid(skin: Skin, shape: Shape, paint: Colour, low: float, top: float, rng: n
         skin.groove(Chart.REAR, line, 0.005)
     crease = low + rng.uniform(0.35, 0.8) * (top - low)
     sheet = [(-half, low), (half, low), (half, top), (-half, top)]
-    skin.bow(Chart.REAR, sheet, (0.0, rng.uniform(0.6, 1.6)), (0.0, rng.uniform(-0.05, 0.12)))
+    skin.bow(Chart.REAR, sheet, (0.0, rng.uniform(0.6, 1.6)), (0.0, rng.uniform(-0.06, 0.05)))
     above = [(-half, crease + 0.03), (0, crease), (half, crease + 0.03), (half, top + 0.3), (-half, top + 0.3)]
     skin.emboss(Chart.REAR, above, rng.uniform(0.012, 0.03), soft=True)
     skin.shadow(Chart.REAR, above[:3], rng.uniform(0.1, 0.3), 0.06)
@@ -143,7 +143,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
 def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.random.Generator) -> None:
     half = shape.width / 2
     low, high = shape.rear_window[1] + 0.03, shape.roof_rear[1] - 0.05
-    y0, y1 = cabin_edge(shape, half, low) - 0.10, cabin_edge(shape, half, high) - 0.12
+    y0, y1 = cabin_edge(shape, half, low) - 0.08, cabin_edge(shape, half, high) - 0.08
     ring = [(-y0, low), (y0, low), (y1, high), (-y1, high)]
     inner = pane(skin, Chart.REAR, ring, style.rear_glass)
     placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])

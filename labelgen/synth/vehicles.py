@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
-from labelgen.synth.bodies import body_mesh, wing_mirrors
+from labelgen.synth.bodies import body_mesh, outside_parts
 from labelgen.synth.fittings import PLATES
 from labelgen.synth.mesh import Chart, Mesh, box_mesh, join
 from labelgen.synth.motorcycle import draw_motorcycle, motorcycle_mesh
@@ -23,7 +23,7 @@ __all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.73, 0.735, 0.73), 0.0, 0.25),
+    ((0.70, 0.705, 0.70), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.085, 0.088, 0.092), 0.6, 0.19),
     ((0.013, 0.0125, 0.014), 0.3, 0.20),
@@ -113,7 +113,7 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
             skin.fill(chart, body.colour, PAINT)
         return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
-    mesh = body.mesh if kind == "motorcycle" else _with_mirrors(body.mesh, body.shape)
+    mesh = body.mesh if kind == "motorcycle" else _with_outside_parts(body.mesh, body.shape)
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
     # No two greys are alike: some are bluish, some brown, a few greenish, none lilac; whites hardly differ.
     spread = 0.006 + 0.05 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
@@ -160,7 +160,7 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
         return _Body(VehicleClass.VEHICLE, None, mesh, size, colour, metal)
     check_kinds([kind])
     if kind in ("van", "lorry", "articulated") and rng.random() < 0.55:
-        colour, metal = (0.73, 0.73, 0.72), 0.0
+        colour, metal = (0.70, 0.70, 0.69), 0.0
     if kind == "bus":
         shares = np.array([share for _, share in _BUS_PAINTS])
         faded = _BUS_PAINTS[int(rng.choice(len(_BUS_PAINTS), p=shares / shares.sum()))][0]
@@ -171,9 +171,9 @@ def _body(kind: str, rng: np.random.Generator) -> _Body:
     return _Body(shape.vehicle_class, shape, mesh, _body_size(mesh), colour, metal)
 
 
-def _with_mirrors(mesh: Mesh, shape: Shape) -> Mesh:
-    mirrors = wing_mirrors(shape)
-    return replace(join([mesh, *mirrors]), extra=sum(len(m.triangles) for m in mirrors))
+def _with_outside_parts(mesh: Mesh, shape: Shape) -> Mesh:
+    parts = outside_parts(shape)
+    return replace(join([mesh, *parts]), extra=sum(len(part.triangles) for part in parts))
 
 
 def _body_size(mesh: Mesh) -> NDArray[np.float64]:
