@@ -234,7 +234,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
     if shape.bed is not None:
         low = (shape.bed[0], -0.78 * half)
-        tone = (0.02, 0.02, 0.02) if rng.random() < 0.6 else dim(paint, 0.6)
+        tone = (0.02, 0.02, 0.02) if rng.random() < 0.75 else dim(paint, 0.35)
         skin.rectangle(Chart.TOP, low, (shape.length - 0.12, 0.78 * half), tone, MATTE)
 
 

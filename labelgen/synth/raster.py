@@ -185,12 +185,10 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
         if sharp:
             wide = toward_sun**120
             gleam = paint[1] * (5.0 * wide + 110.0 * wide**12)
-        return (
-            (0.05 + 0.95 * away * away * away) * paint[1],
-            gleam,
-            paint[0] * 0.8 * squared * squared * squared * squared,
-            1.0,
-        )
+        # Not all of it along outlines, where a pixel's few samples would make a dotted line of it.
+        rim = min(away, 0.8)
+        mirrored = (0.05 + 0.95 * rim * rim * rim) * paint[1]
+        return mirrored, gleam, paint[0] * 0.8 * squared * squared * squared * squared, 1.0
     if material == GLASS:
         if sharp:
             gleam = 25.0 * toward_sun**600
