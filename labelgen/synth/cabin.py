@@ -103,9 +103,9 @@ def behind_windscreen(
     skin.polygon(chart, placed(ring), tone, GLASS)
     # What lies on it is mirrored in the glass, its front edge dark.
     skin.polygon(chart, placed([(-1, 0), (1, 0), (1, 0.5 * shelf), (-1, 0.5 * shelf)]), dim(tone, 1.5), GLASS)
-    angle = np.linspace(0.1, np.pi - 0.1, 12)
-    wheel = np.stack([_DRIVER + 0.17 * np.cos(angle), shelf + 0.02 + 0.17 * np.sin(angle)], axis=1)
-    skin.line(chart, placed(wheel), (0.008, 0.008, 0.008), GLASS, 0.035)
+    angle = np.linspace(0.4, np.pi - 0.4, 8)
+    wheel = np.stack([_DRIVER + 0.16 * np.cos(angle), shelf - 0.02 + 0.16 * np.sin(angle)], axis=1)
+    skin.line(chart, placed(wheel), dim(tone, 0.5), GLASS, 0.03)
     skin.polygon(chart, placed(_blob(0.0, 0.86, 0.10, 0.045)), (0.006, 0.006, 0.007), GLASS)
     if rng.random() < 0.6:  # sun visors, or a tinted edge
         edge = [(-0.96, 0.92), (0.96, 0.92), (0.96, 1.0), (-0.96, 1.0)]

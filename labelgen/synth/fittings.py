@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 BLACK: Colour = (0.010, 0.010, 0.011)
-TRIM: Colour = (0.028, 0.028, 0.030)
+TRIM: Colour = (0.036, 0.036, 0.038)
 SILL = 0.05
 """Height of the dark edge below a body's paint where there is no cladding, metres."""
 CHROME_TONE: Colour = (0.50, 0.50, 0.51)
@@ -72,6 +72,8 @@ class Style:
     plate_high: bool
 
 
+_WIDE_LAMPS, _UPRIGHT_LAMPS = (0.30, 0.10, 0.26, 0.10, 0.20, 0.04), (0.0, 0.55, 0.0, 0.20, 0.25, 0.0)
+"""How common each family of tail lamps is."""
 PLATES = ("european", "yellow", "blue", "short")
 """Families of number plates: white with a blue strip; yellow; blue with white letters; short and white."""
 
@@ -83,14 +85,15 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     private = rng.random() < (0.5 if shape.kind in ("suv", "minivan", "estate") else 0.25)
     clear = rng.uniform(0.15, 1.0)
     behind = 0.006 if private else dark
+    upright = shape.bed is not None or (shape.kind in ("suv", "minivan", "estate", "van") and rng.random() < 0.5)
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
         rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
     family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
-        grille=int(rng.integers(7)),
+        grille=int(rng.choice(7, p=[0.22, 0.16, 0.05, 0.16, 0.18, 0.08, 0.15])),
         lamp=int(rng.integers(6)),
-        rear_lamp=int(rng.choice(6, p=[0.24, 0.22, 0.18, 0.10, 0.22, 0.04])),
+        rear_lamp=int(rng.choice(6, p=_UPRIGHT_LAMPS if upright else _WIDE_LAMPS)),
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
         chrome=bool(rng.random() < 0.25),

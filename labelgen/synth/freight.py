@@ -212,9 +212,9 @@ def _bus_glazing(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generat
     low, high, end = shape.belt - 0.02, shape.height - 0.42, shape.length - rng.uniform(0.3, 1.0)
     skin.rectangle(Chart.SIDE, (0.12, low), (end, high), _RUBBER, GLASS)
     wide, pillar = rng.uniform(1.15, 1.7), rng.uniform(0.06, 0.13)
-    post: Colour = dim(paint, 0.8) if rng.random() < 0.35 else (0.03, 0.03, 0.031)
+    post: Colour = dim(paint, 0.8) if rng.random() < 0.6 else (0.03, 0.03, 0.031)
     lights = low + 0.68 * (high - low) if rng.random() < 0.6 else None
-    tint = rng.uniform(0.014, 0.035)
+    tint = rng.uniform(0.006, 0.02)
     for left in np.arange(0.2, end - 0.6, wide).tolist():
         right = min(left + wide - pillar, end - 0.08)
         tone = tint * rng.uniform(0.75, 1.35)
@@ -225,7 +225,7 @@ def _bus_glazing(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generat
             high_seat = low + rng.uniform(0.25, 0.4)
             corners = [(seat, low + 0.06), (back, low + 0.06), (back - 0.05, high_seat), (seat + 0.05, high_seat)]
             skin.polygon(Chart.SIDE, corners, (shade, shade, 1.1 * shade), GLASS)
-        skin.fade(Chart.SIDE, ring, (0.15, 0.165, 0.18), (rng.uniform(0.2, 0.45), 0.04))
+        skin.fade(Chart.SIDE, ring, (0.11, 0.125, 0.135), (rng.uniform(0.05, 0.4), 0.03))
         skin.rectangle(Chart.SIDE, (right, low + 0.02), (right + pillar, high - 0.02), post, PAINT)
         if lights is not None:
             skin.line(Chart.SIDE, [(left, lights), (right, lights)], (0.05, 0.05, 0.05), MATTE, 0.035)

@@ -114,7 +114,7 @@ def _mouths(skin: Skin, face: _Face, style: Style, paint: Colour, rng: np.random
             skin.line(Chart.FRONT, np.concatenate([smooth, smooth[:1]]), bright, LAMP, 0.016)
 
     wide, low = rng.uniform(0.46, 0.56), rng.uniform(0.08, 0.14)
-    high = low + rng.uniform(0.22, 0.32)
+    high = low + rng.uniform(0.16, 0.28)
     lower = [(-0.5, low), (0.5, low), (0.66, high - 0.06), (0.60, high), (-0.60, high), (-0.66, high - 0.06)]
     family, badge = style.grille, 0.84
     if family == 0:  # a bar between the lamps, a wide intake below
@@ -148,7 +148,7 @@ def _mouths(skin: Skin, face: _Face, style: Style, paint: Colour, rng: np.random
             skin.line(Chart.FRONT, face.at([(-0.6, 0.72), (0.6, 0.72)]), bright, LAMP, 0.02)
         opening(lower)
         badge = 0.83
-    if style.grille != 5 or rng.random() < 0.5:
+    if rng.random() < 0.55:
         _pods(skin, face, style, dark, low, rng)
     size = rng.uniform(0.034, 0.050)
     skin.circle(Chart.FRONT, (0, face.z(badge)), size, dim(CHROME_TONE, rng.uniform(0.4, 0.8)), LAMP)
@@ -175,7 +175,9 @@ def _pods(skin: Skin, face: _Face, style: Style, dark: Colour, low: float, rng: 
 def _head_lamps(
     skin: Skin, shape: Shape, face: _Face, style: Style, paint_level: float, rng: np.random.Generator, lamps: bool
 ) -> None:
-    points = list(_HEAD_LAMPS[style.lamp])
+    # Their inner ends reach inwards by more or less.
+    longer = rng.uniform(1.0, 1.25)
+    points = [(0.98 - longer * (0.98 - y), 0.82 + 1.1 * (t - 0.82)) for y, t in _HEAD_LAMPS[style.lamp]]
     # Some are silver all over, some dark; those that part from the paint show.
     low, high = (0.06, 0.2) if paint_level > 0.3 else (0.22, 0.5)
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -15,7 +15,7 @@ from labelgen.synth.fittings import BLACK, CHROME_TONE, SILL, TRIM, Style, draw_
 from labelgen.synth.freight import draw_bus, draw_bus_rear, draw_cargo
 from labelgen.synth.fronts import draw_front
 from labelgen.synth.mesh import Chart
-from labelgen.synth.raster import CHROME, GLASS, LAMP, MATTE, PAINT
+from labelgen.synth.raster import GLASS, LAMP, MATTE, PAINT
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim
 from labelgen.synth.tails import draw_rear
@@ -175,9 +175,9 @@ def _doors(
         skin.shadow(Chart.SIDE, line, 0.3, 0.04)
     skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT, 0.016)
     skin.groove(Chart.SIDE, [(low, foot), (high, foot)])
-    chrome = rng.random() < 0.2
+    chrome = rng.random() < 0.1
     for p in [*pillars[:2], high - 0.1]:
-        handle: tuple[Colour, int] = (CHROME_TONE, CHROME) if chrome else (dim(paint, 0.75), PAINT)
+        handle: tuple[Colour, int] = (dim(CHROME_TONE, 0.6), LAMP) if chrome else (dim(paint, 0.75), PAINT)
         skin.rectangle(Chart.SIDE, (p - 0.24, shape.belt - 0.13), (p - 0.07, shape.belt - 0.09), *handle)
         ring = [(p - 0.25, shape.belt - 0.14), (p - 0.06, shape.belt - 0.14), (p - 0.06, shape.belt - 0.08)]
         skin.emboss(Chart.SIDE, [*ring, (p - 0.25, shape.belt - 0.08)], 0.012)
@@ -202,7 +202,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     # A roof is bowed across and a little along.
     crown = [(roof[0], -edge), (roof[1], -edge), (roof[1], edge), (roof[0], edge)]
     if shape.kind not in ("van", "bus") and shape.cargo is None:
-        skin.bow(Chart.TOP, crown, (0.05, rng.uniform(0.22, 0.4)))
+        skin.bow(Chart.TOP, crown, (0.03, rng.uniform(0.02, 0.12)))
     ring, placed = _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
     behind_windscreen(skin, Chart.TOP, placed, style.glass, style.clear, rng)
     gleam(skin, Chart.TOP, ring, rng)
@@ -233,9 +233,29 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         d = roof[1] - 0.05
         skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
     if shape.bed is not None:
-        low = (shape.bed[0], -0.78 * half)
-        tone = (0.02, 0.02, 0.02) if rng.random() < 0.75 else dim(paint, 0.35)
-        skin.rectangle(Chart.TOP, low, (shape.length - 0.12, 0.78 * half), tone, MATTE)
+        _bed(skin, shape, rng)
+
+
+def _bed(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
+    """A pickup's load bed: a dark cover, or a floor that lies in the shadow of its sides, with things on it."""
+    assert shape.bed is not None
+    half, start, end = 0.86 * shape.width / 2, shape.bed[0], shape.length - 0.10
+    ring = [(start, -half), (end, -half), (end, half), (start, half)]
+    if rng.random() < 0.5:
+        skin.polygon(Chart.TOP, ring, (0.016, 0.016, 0.017), PAINT)
+        for d in np.linspace(start, end, 4)[1:-1].tolist():
+            skin.groove(Chart.TOP, [(d, -half), (d, half)], 0.006)
+    else:
+        level = rng.uniform(0.03, 0.12)
+        skin.polygon(Chart.TOP, ring, (level, level, level), MATTE)
+        for _ in range(int(rng.integers(0, 9))):
+            d, y = rng.uniform(start, end - 0.3), rng.uniform(-half, half)
+            long, wide = rng.uniform(0.15, 0.7), rng.uniform(0.1, 0.4)
+            tone = np.clip(rng.uniform(0.02, 0.45) * rng.normal(1, 0.15, 3), 0, 1).tolist()
+            box = np.clip([(d, y), (d + long, y), (d + long, y + wide), (d, y + wide)], [start, -half], [end, half])
+            skin.polygon(Chart.TOP, box, (tone[0], tone[1], tone[2]), MATTE)
+        skin.fade(Chart.TOP, ring, BLACK, (0.75, 0.2), level=True)
+    skin.shadow(Chart.TOP, [*ring, ring[0]], 0.5, 0.08)
 
 
 def _top_pane(
@@ -277,13 +297,11 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         skin.shadow(Chart.TOP, gap, 0.15, 0.04)
         inner = rng.uniform(0.3, 0.6)
         crease = bowed([(start, side * 0.7 * inner), (back, side * inner)])
-        skin.groove(Chart.TOP, crease, -0.004, 0.09)
+        skin.groove(Chart.TOP, crease, -0.003, 0.09)
         wiper = bowed([(back + 0.04, side * 0.1), (back + 0.07, side * 0.35), (back + 0.10, side * 0.6)])
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     across = np.linspace(-1, 1, 9).tolist()
     skin.line(Chart.TOP, bowed([(start + 0.01, 0.62 * y) for y in across]), seam, PAINT)
-    sheet = bowed([*((start, 0.95 * y) for y in across), *((back, -0.95 * y) for y in across)])
-    skin.bow(Chart.TOP, sheet, (0.08, rng.uniform(0.2, 0.4)))
     hump = bowed([(start, -0.35), (start, 0.0), (start, 0.35), (back, 0.5), (back, 0.0), (back, -0.5)])
     skin.emboss(Chart.TOP, hump, rng.uniform(0.002, 0.012), soft=True)
     cowl = bowed([*((back, 0.8 * y) for y in across), *((back + 0.11, -0.8 * y) for y in across)])

@@ -332,9 +332,9 @@ def shade(
                         )  # fmt: skip
                         last = charts[t]
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
-                    red += min(red1 * exposure, 4.0)
-                    green += min(green1 * exposure, 4.0)
-                    blue += min(blue1 * exposure, 4.0)
+                    red += min(red1 * exposure, 2.2)
+                    green += min(green1 * exposure, 2.2)
+                    blue += min(blue1 * exposure, 2.2)
             if n == 0:
                 continue
             alpha = n * share

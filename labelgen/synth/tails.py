@@ -80,9 +80,9 @@ def _bumper(
     skin.emboss(Chart.REAR, [*edge, (half, 0), (-half, 0)], 0.03, soft=True)
     skin.line(Chart.REAR, edge, dim(paint, 0.45), PAINT, 0.014)
     skin.shadow(Chart.REAR, edge, rng.uniform(0.25, 0.5), 0.05)
-    skin.shadow(Chart.REAR, [(-half, foot), (half, foot)], 0.7, 0.12)
-    dark = foot + rng.uniform(0.25, 0.55) * (top - foot)
-    if rng.random() < 0.8:  # unpainted below the bumper's middle
+    skin.shadow(Chart.REAR, [(-half, foot), (half, foot)], 0.5, 0.10)
+    dark = foot + rng.uniform(0.15, 0.5) * (top - foot)
+    if rng.random() < 0.55:  # unpainted below the bumper's middle
         skirt = [(-0.80 * half, foot - 0.02), (0.80 * half, foot - 0.02), (0.62 * half, dark), (-0.62 * half, dark)]
         skin.polygon(Chart.REAR, rounded(skirt, 0.06), TRIM, MATTE)
     for side in (-1, 1):
@@ -117,7 +117,7 @@ def _model_names(skin: Skin, half: float, top: float, tall: float, rng: np.rando
         start, count = rng.uniform(0.22, 0.36) * half, int(rng.integers(2, 7))
         for k in range(count):
             y = side * (start + 0.034 * k)
-            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), dim(CHROME_TONE, 0.6), LAMP)
+            skin.rectangle(Chart.REAR, (y - 0.008, z - 0.011), (y + 0.008, z + 0.011), dim(CHROME_TONE, 0.4), LAMP)
 
 
 def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:
@@ -152,8 +152,12 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low + 0.01), (0.35, low + 0.09)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
-    third: tuple[Colour, int] = ((0.6, 0.08, 0.08), LIT) if braking else ((0.06, 0.010, 0.011), GLASS)
-    skin.rectangle(Chart.REAR, (-0.14, high - 0.025), (0.14, high + 0.01), *third)
+    if rng.random() < 0.25:  # a paper or a sticker
+        at = rng.uniform(-0.85, 0.75) * y0
+        z, size = (low + 0.07, 0.05) if rng.random() < 0.5 else (high - 0.12, 0.04)
+        skin.rectangle(Chart.REAR, (at, z - size), (at + 1.6 * size, z + size), (0.3, 0.31, 0.28), GLASS)
+    third: tuple[Colour, int] = ((0.75, 0.08, 0.09), LIT) if braking else ((0.09, 0.010, 0.012), GLASS)
+    skin.rectangle(Chart.REAR, (-0.16, high - 0.04), (0.16, high + 0.01), *third)
 
 
 def _tail_lamps(
@@ -192,6 +196,8 @@ def _tail_lamps(
             strip = [(ends[0], z0), (ends[1], z0), (ends[1] - 0.01, z0 + 0.2 * tall), (ends[0] + 0.01, z0 + 0.2 * tall)]
             skin.polygon(Chart.REAR, rounded(mirrored(strip, side), 0.1), clear, LAMP)
         skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
+        spark = middle + np.array([side * 0.04 * half, 0.28 * tall])
+        skin.circle(Chart.REAR, spark.tolist(), 0.022, (0.55, 0.36, 0.36), LAMP)
         skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.4, 0.025)
         skin.bow(Chart.REAR, smooth, (0.8, 1.0), (0.0, 0.06))
     end = shell_end(shape)
