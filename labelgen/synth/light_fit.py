@@ -33,6 +33,9 @@ _PERCENTILES = (4.0, 50.0, 98.5)
 _WEIGHTS = (0.9, 0.5, 0.9)
 """How far brightness follows the video at these percentiles: what drives there decides most on the middle one."""
 _STEEPEST = 1.9
+_ALL_DARK = 0.9
+_ABOVE_FOOT, _BESIDE = 0.75, 0.15
+"""Which part of a vehicle's height, and how much of its width on either side, does not count for its brightness."""
 _LEAST_SKY, _SEEN_SKY = 0.08, 0.65
 _OFF_EDGES, _SHARPEST_PX = 0.6, 0.3
 """How far sharpening that suits vehicles may lie from what edges show."""
@@ -118,13 +121,23 @@ def tones_of(parts: Sequence[Part]) -> Tones | None:
     if len(parts) < _FEWEST:
         return None
     pixels = [image[mask] for image, mask in parts]
-    picked = np.concatenate([p[np.linspace(0, len(p) - 1, _PER_VEHICLE).astype(int)] for p in pixels])
+    inner = [image[_core(mask)] for image, mask in parts]
+    picked = np.concatenate([p[np.linspace(0, len(p) - 1, _PER_VEHICLE).astype(int)] for p in inner if len(p)])
     grey = tuple(np.percentile(cv2.cvtColor(picked[None], cv2.COLOR_BGR2GRAY), _PERCENTILES).tolist())
     colour = float(np.median([_colour(p) for p in pixels]))
     casts = [cast for cast in map(_cast, pixels) if cast is not None]
     cast = tuple(np.median(casts, axis=0).tolist()) if len(casts) >= _FEWEST else (0.0, 0.0)
     fine = float(np.median([_fine(image, mask) for image, mask in parts]))
     return Tones(grey, colour, cast, fine, len(parts))
+
+
+def _core(mask: Mask) -> Mask:
+    """What of a vehicle lies well inside its outline: the shadow at its foot may be taken for a part of it."""
+    height, width = mask.shape
+    out = mask.copy()
+    out[int(_ABOVE_FOOT * height) :] = False
+    out[:, : int(_BESIDE * width)] = out[:, width - int(_BESIDE * width) :] = False
+    return out if out.any() else mask
 
 
 def _colour(pixels: NDArray[np.uint8]) -> float:
@@ -161,18 +174,23 @@ def footage_parts(
     empty = cv2.cvtColor(footage.empty, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1
     for number, look in enumerate(footage.looks):
         change = footage.changed(look) & (road if known is None else road & known[number])
+        dark = np.zeros_like(change)
         if shadows.sunny:
             assert shadows.left is not None
             ratio = (cv2.cvtColor(look, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1) / empty
             mean = cv2.blur(ratio, (3, 3))
             even = cv2.blur(ratio * ratio, (3, 3)) - mean * mean < 0.05**2
             change &= ~(even & (np.abs(ratio - shadows.left) < NEAR_SHADOW))
+            dark = ratio < shadows.left + NEAR_SHADOW
         inner = cv2.erode(change.astype(np.uint8), np.ones((5, 5), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(inner)
         for k in range(1, count):
             x, y, w, h, area = (int(v) for v in stats[k])
             if min(w, h) >= _LEAST_SIDE and area > 0.35 * w * h:
-                yield look[y : y + h, x : x + w], labels[y : y + h, x : x + w] == k
+                part = labels[y : y + h, x : x + w] == k
+                # The darkest part of a shadow, below a vehicle, is none; the darkest vehicle has lamps and gleams.
+                if np.count_nonzero(part & dark[y : y + h, x : x + w]) < _ALL_DARK * area:
+                    yield look[y : y + h, x : x + w], part
 
 
 def fit_to_tones(light: Light, real: Tones, drawn: Tones) -> Light:

@@ -38,7 +38,7 @@ __all__ = ["OwnCamera", "load_own_camera"]
 
 _DEPTH_M = 60.0
 _LEAST_SEEN_M = 8.0
-_TRY_FRAMES, _TRY_EVERY_S, _TRY_SEED, _TRY_TRAFFIC = 24, 2.0, 4, 16.0
+_TRY_FRAMES, _TRY_EVERY_S, _TRY_SEED, _TRY_TRAFFIC = 40, 2.0, 4, 20.0
 _ROUNDS = 3
 
 

@@ -26,6 +26,11 @@ _TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
     ((1.0, 0.1), (0.05, 0.3), (0.05, 0.55), (1.0, 0.8)),
 )
 _ACROSS = 5
+_VAN_LAMPS = (
+    ((1.0, -0.5), (0.90, -0.5), (0.885, 0.6), (0.90, 1.2), (1.0, 1.2)),
+    ((1.0, -0.1), (0.84, -0.1), (0.84, 0.9), (1.0, 0.9)),
+)
+"""Those of vans stand upright at the doors' sides."""
 
 
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
@@ -34,7 +39,7 @@ def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     braking = bool(rng.random() < 0.2)
     foot = shape.clearance + 0.09 + style.cladding
     van = shape.kind == "van"
-    top, tall = (1.15, 0.3) if van else (shape.tail - 0.02, rng.uniform(0.19, 0.28))
+    top, tall = (1.12, 0.34) if van else (shape.tail - 0.02, rng.uniform(0.19, 0.28))
     bumper_top = foot + (shape.tail - foot) * rng.uniform(0.34, 0.5) if not van else shape.clearance + 0.34
     _bumper(skin, shape, paint, style, (foot, bumper_top), rng)
     if van:
@@ -121,23 +126,41 @@ def _model_names(skin: Skin, half: float, top: float, tall: float, rng: np.rando
 
 
 def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:
-    """Two doors that open to the sides; their windows lie in hollows, and so do their lower halves."""
-    middle = [(0, shape.height - 0.12), (0, 0.45)]
-    skin.line(Chart.REAR, middle, seam, PAINT, 0.014)
-    skin.groove(Chart.REAR, middle)
-    glazed = rng.random() < 0.6
+    """Two doors that open to the sides, or one that opens upwards; windows lie in hollows, and so do lower halves."""
+    high = shape.height
+    kind = int(rng.choice(3, p=[0.35, 0.35, 0.3]))  # without windows, with two, one wide window
+    if kind == 2:
+        ring = [(-0.80, 1.30), (0.80, 1.30), (0.72, high - 0.38), (-0.72, high - 0.38)]
+        inner = pane(skin, Chart.REAR, ring, style.rear_glass)
+        placed = on_screen([(0.76, 1.34), (-0.76, 1.34)], [(0.70, high - 0.42), (-0.70, high - 0.42)])
+        behind_rear_screen(skin, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
+        gleam(skin, Chart.REAR, inner, rng, 0.4)
+        skin.line(Chart.REAR, [(0.0, 1.32), (0.42, 1.42)], BLACK, MATTE, 0.02)
+    else:
+        middle = [(0, high - 0.12), (0, 0.45)]
+        skin.line(Chart.REAR, middle, seam, PAINT, 0.014)
+        skin.groove(Chart.REAR, middle)
+    top = rng.uniform(high - 0.55, high - 0.36)
     for side in (-1, 1):
-        for z0, z1 in ((1.32, 2.0), (0.62, 1.05)):
-            ring = mirrored([(0.09, z0), (0.74, z0), (0.70, z1), (0.09, z1)], side)
+        for z0, z1 in ((1.30, top), (0.62, 1.05)):
+            if kind == 2 and z0 > 1:
+                continue
+            ring = mirrored([(0.07, z0), (0.78, z0), (0.74, z1), (0.07, z1)], side)
             skin.emboss(Chart.REAR, rounded(ring, 0.08), -0.018, soft=True)
-            if glazed and z0 > 1:
-                gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng, 0.9)
+            if kind == 1 and z0 > 1:
+                gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng, 0.5)
         edge = mirrored([(0.84, 0.5), (0.84, 2.05), (0.72, 2.2), (0, 2.22)], side)
         skin.groove(Chart.REAR, edge, 0.006)
         skin.shadow(Chart.REAR, edge, 0.25, 0.04)
         for z in (0.8, 1.7):
             skin.rectangle(Chart.REAR, (side * 0.84, z), (side * 0.90, z + 0.08), TRIM, MATTE)
     skin.rectangle(Chart.REAR, (0.04, 1.12), (0.2, 1.17), TRIM, MATTE)
+    third = [(-0.2, high - 0.20), (0.2, high - 0.20), (0.2, high - 0.15), (-0.2, high - 0.15)]
+    skin.polygon(Chart.REAR, third, (0.10, 0.011, 0.013), LAMP)
+    for y, wide in ((0.45, 0.22), (-0.62, 0.2)):  # the maker's and the model's name
+        for k in range(int(rng.integers(3, 7))):
+            at = y + wide * k / 6
+            skin.rectangle(Chart.REAR, (at, 1.2), (at + 0.02, 1.235), dim(CHROME_TONE, 0.4), LAMP)
 
 
 def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.random.Generator) -> None:
@@ -165,7 +188,8 @@ def _tail_lamps(
     braking: bool,
 ) -> None:  # fmt: skip
     """A lamp is a bowl behind bowed glass: red above, a pale part, its foot in shadow, the sky on its upper edge."""
-    half, family, wide = shape.width / 2, _TAIL_LAMPS[style.rear_lamp], style.rear_lamp == _ACROSS
+    half, wide = shape.width / 2, style.rear_lamp == _ACROSS and shape.kind != "van"
+    family = _VAN_LAMPS[style.rear_lamp % 2] if shape.kind == "van" else _TAIL_LAMPS[style.rear_lamp]
     bright = rng.uniform(0.7, 1.3)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     red: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
