@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from labelgen.synth.mesh import Chart, Mesh, box_mesh, join, loft, tube_mesh, wheel_mesh
 from labelgen.synth.shapes import Shape
 
-__all__ = ["MIRROR", "body_mesh", "cabin_edge", "face_edge", "outside_parts", "setback", "shell_end", "top_line"]
+__all__ = ["body_mesh", "cabin_edge", "face_edge", "outside_parts", "setback", "shell_end", "top_line"]
 
-MIRROR = 0.01
-"""How far a wing mirror stands out from the body, metres."""
 _FINE = 0.01
 
 
@@ -160,22 +158,20 @@ def _one_drawing_per_screen(shape: Shape, shell: Mesh) -> Mesh:
     return replace(shell, charts=charts)
 
 
-def _mirrors(shape: Shape) -> list[Mesh]:
-    d = shape.cowl[0] + 0.42 * (shape.roof_front[0] - shape.cowl[0]) + 0.08
-    x, out = shape.length / 2 - d, shape.width / 2
-    tall = 0.10 if shape.cargo is None and shape.kind != "bus" else 0.35
-    z = shape.belt + 0.02
-    lows = [(x - 0.04, -out - MIRROR, z), (x - 0.04, out - 0.11, z)]
-    return [box_mesh(low, (low[0] + 0.09, low[1] + MIRROR + 0.11, z + tall), chart=Chart.MIRROR) for low in lows]
-
-
 def outside_parts(shape: Shape) -> list[Mesh]:
-    """What of a car's wing mirrors stands out from its body, on a short foot, and its aerial; as `body_mesh` lies.
+    """What of the wing mirrors stands out from the body, on a short foot, and the aerial; as `body_mesh` lies.
 
     They are drawn, but belong neither to the body's cuboid nor to its mask.
     """
     if shape.cargo is not None or shape.kind == "bus":
-        return []
+        # Tall ones on arms beside the screen.
+        x, y, z = shape.length / 2 - 0.12, shape.width / 2, shape.cowl[1] + (0.25 if shape.cargo is not None else 1.0)
+        housings = [[(x, side * (y + 0.13), z + up) for up in (0.0, 0.1, 0.5, 0.62)] for side in (1, -1)]
+        arms = [[(x - 0.1, side * (y - 0.1 + out), z + 0.55) for out in (0.0, 0.1, 0.2)] for side in (1, -1)]
+        return [
+            *(tube_mesh(spine, (0.05, 0.1, 0.1, 0.05), chart=Chart.MIRROR, sides=8) for spine in housings),
+            *(tube_mesh(spine, (0.03, 0.03, 0.03), chart=Chart.MIRROR, sides=6) for spine in arms),
+        ]
     d = shape.cowl[0] + 0.36 * (shape.roof_front[0] - shape.cowl[0]) + 0.06
     x, half, z = shape.length / 2 - d, shape.width / 2, shape.belt + (0.10 if shape.kind == "van" else 0.045)
     thick = 0.12 if shape.kind == "van" else 0.08
@@ -219,7 +215,7 @@ def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
 def body_mesh(shape: Shape) -> Mesh:
     """Mesh of a vehicle whose bounding cuboid stands on z = 0 around the origin."""
     half = shape.width / 2
-    parts = [_shell(shape), *_mirrors(shape)]
+    parts = [_shell(shape)]
     for d in shape.axles:
         for side in (1, -1):
             parts.append(wheel_mesh(shape.length / 2 - d, 0.985 * half, shape.wheel, 0.24, side))

@@ -65,12 +65,12 @@ def _light_beyond(skin: Skin, chart: Chart, placed: OnScreen, level: float, heig
 
 def _mirrored_patches(skin: Skin, chart: Chart, placed: OnScreen, rng: np.random.Generator) -> None:
     """Gaps of sky between what the glass mirrors of the roadside, softly: several faint layers of each."""
-    for _ in range(int(rng.integers(1, 5))):
+    for _ in range(int(rng.integers(2, 7))):
         at, up, level = rng.uniform(-0.9, 0.9), rng.uniform(0.2, 0.95), rng.uniform(0.02, 0.10)
         wide, tall = rng.uniform(0.08, 0.35), rng.uniform(0.06, 0.25)
         for size in (1.0, 0.75, 0.5):
             ring = placed(_blob(at, up, size * wide, size * tall, 2).clip([-0.98, 0.0], [0.98, 1.0]))
-            skin.fade(chart, ring, (level, 1.15 * level, 1.15 * level), (0.4, 0.4))
+            skin.fade(chart, ring, (level, 1.15 * level, 1.15 * level), (0.35, 0.35))
 
 
 def behind_windscreen(
@@ -87,7 +87,6 @@ def behind_windscreen(
         rng: decides who and what is there.
     """
     shelf = rng.uniform(0.14, 0.24)
-    _mirrored_patches(skin, chart, placed, rng)
     _light_beyond(skin, chart, placed, glass[1] + 0.13 * clear, (rng.uniform(0.50, 0.58), rng.uniform(0.76, 0.86)))
     beside = rng.random() < 0.35
     for side in (-1, 1):
@@ -112,6 +111,7 @@ def behind_windscreen(
         skin.polygon(chart, placed(edge), _grey(rng, 0.01, 0.05, 1.06), GLASS)
     if rng.random() < 0.4:
         skin.polygon(chart, placed(_blob(rng.uniform(-0.8, 0.8), 0.08, 0.06, 0.04, 6)), (0.22, 0.22, 0.2), GLASS)
+    _mirrored_patches(skin, chart, placed, rng)
 
 
 def _person(skin: Skin, chart: Chart, placed: OnScreen, at: float, rng: np.random.Generator) -> None:
@@ -149,3 +149,4 @@ def behind_rear_screen(
         thing: Colour = (level, level * rng.uniform(0.7, 1.0), level * rng.uniform(0.5, 1.0))
         at, wide = rng.uniform(-0.6, 0.6), rng.uniform(0.06, 0.18)
         skin.polygon(chart, placed(_blob(at, shelf, wide, rng.uniform(0.05, 0.12), 4)), thing, GLASS)
+    _mirrored_patches(skin, chart, placed, rng)

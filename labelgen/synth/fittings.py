@@ -111,7 +111,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
     ((0.62, 0.62, 0.60), _INK, True), ((0.42, 0.32, 0.09), _INK, True),
-    ((0.075, 0.19, 0.31), (0.50, 0.52, 0.53), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
+    ((0.085, 0.22, 0.37), (0.58, 0.60, 0.61), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 

@@ -130,7 +130,7 @@ def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator)
             skin.rectangle(
                 Chart.SIDE, (d + 0.3 * wide, base + 0.3 * size), (d + 0.6 * wide, base + 0.6 * size), dim(ink, 2), PAINT
             )
-    if rng.random() < 0.7:
+    if rng.random() < 0.4:
         at, left, half = low + rng.uniform(0.4, 0.7) * tall, rng.uniform(-0.95, -0.5), shape.width / 2
         for row in range(int(rng.integers(1, 4))):
             end, high_row = rng.uniform(0.2, 0.95), 0.28 / (1 + row)

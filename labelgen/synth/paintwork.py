@@ -82,7 +82,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.rectangle(Chart.SIDE, (0.8, waist - 0.2), (end - 0.8, waist - 0.14), TRIM, MATTE)
     if shape.kind != "bus":
         _side_windows(skin, shape, paint, style, rng)
-    arch = 1.13 * shape.wheel
+    arch = 1.09 * shape.wheel
     for axle in shape.axles:
         grow = 1.35 if style.cladding > 0.1 else 1.12
         ring = _disc((axle, shape.wheel), arch * grow)
@@ -90,7 +90,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
             skin.polygon(Chart.SIDE, _disc((axle, shape.wheel), arch * 1.18), TRIM, MATTE)
         skin.emboss(Chart.SIDE, ring, 0.014)
         skin.shadow(Chart.SIDE, _disc((axle, shape.wheel), arch), 0.6, 0.06)
-        skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.005, 0.005, 0.005), MATTE)
+        skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.014, 0.014, 0.014), MATTE)
     for line in ([(0.52, shape.clearance + 0.1), (0.48, shape.nose - 0.26)], [(end - 0.42, sill), (end - 0.38, waist)]):
         skin.line(Chart.SIDE, line, dim(paint, _SEAM), PAINT)
     if rng.random() < 0.3:

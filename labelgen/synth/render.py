@@ -31,6 +31,8 @@ __all__ = ["Drawn", "Placed", "Renderer", "covered_by", "painting_order"]
 _MIN_DEPTH = 1.0
 _MARGIN = 8
 _SMALL_SHADOW_PX = 60
+_FINE_PX, _FINE_IN_PICTURE_PX, _ROUGH_PX = 110, 260, 500
+"""Size of a vehicle's window below which a pixel takes nine samples, beside real ones too, and from which one."""
 _SUNNY = 0.3
 """Light of the sun from which on it leaves glints."""
 _NOTHING = np.zeros((0, 0), dtype=np.uint8)
@@ -294,7 +296,8 @@ class Renderer:
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
-        ss = 3 if max(size) < 110 else 2 if max(size) < 500 else 1
+        fine = _FINE_IN_PICTURE_PX if self.sensor.in_picture else _FINE_PX
+        ss = 3 if max(size) < fine else 2 if max(size) < _ROUGH_PX else 1
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal)

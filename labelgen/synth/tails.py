@@ -109,7 +109,7 @@ def _lid(skin: Skin, shape: Shape, paint: Colour, low: float, top: float, rng: n
         skin.groove(Chart.REAR, line, 0.005)
     crease = low + rng.uniform(0.35, 0.8) * (top - low)
     sheet = [(-half, low), (half, low), (half, top), (-half, top)]
-    skin.bow(Chart.REAR, sheet, (0.0, rng.uniform(0.6, 1.6)), (0.0, rng.uniform(-0.06, 0.05)))
+    skin.bow(Chart.REAR, sheet, (0.0, rng.uniform(0.3, 1.0)), (0.0, rng.uniform(-0.10, 0.0)))
     above = [(-half, crease + 0.03), (0, crease), (half, crease + 0.03), (half, top + 0.3), (-half, top + 0.3)]
     skin.emboss(Chart.REAR, above, rng.uniform(0.012, 0.03), soft=True)
     skin.shadow(Chart.REAR, above[:3], rng.uniform(0.1, 0.3), 0.06)
@@ -193,12 +193,12 @@ def _tail_lamps(
     bright = rng.uniform(0.7, 1.3)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     red: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
-    clear: Colour = dim((0.30, 0.26, 0.25), rng.uniform(0.7, 1.4))
+    clear: Colour = dim((0.26, 0.20, 0.19), rng.uniform(0.6, 1.3))
     pale, mirrored_sky = rng.random(), rng.uniform(0.0, 0.15)
     band = rng.uniform(0.45, 0.7)
     for side in (-1, 1):
         ring = np.array(mirrored([(share * half, top - down * tall) for share, down in family], side))
-        smooth, middle = rounded(ring, 0.08), ring.mean(axis=0)
+        smooth, middle = rounded(ring, 0.16), ring.mean(axis=0)
         inner = middle + 0.92 * (smooth - middle)
         skin.polygon(Chart.REAR, smooth, dim(unlit, 0.2), LAMP)
         skin.polygon(Chart.REAR, inner, unlit, LAMP)

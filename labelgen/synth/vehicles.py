@@ -177,8 +177,7 @@ def _with_outside_parts(mesh: Mesh, shape: Shape) -> Mesh:
 
 
 def _body_size(mesh: Mesh) -> NDArray[np.float64]:
-    body = mesh.vertices[mesh.triangles[mesh.charts != Chart.MIRROR]]
-    return np.asarray(np.ptp(body.reshape(-1, 3), axis=0))
+    return np.asarray(np.ptp(mesh.vertices[mesh.body_vertices], axis=0))
 
 
 def _shares() -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from labelgen.synth.light import Weather, make_light
-from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import visible_triangles
 from labelgen.synth.render import Placed, Renderer, painting_order
 from labelgen.synth.scenes import look_at_road, procedural_scene, road_to_image
@@ -27,7 +26,7 @@ def test_bodies_have_real_sizes_and_stand_on_the_road(kind: str) -> None:
         vehicle = make_vehicle(kind, np.random.default_rng(seed))
         base = BODY_TYPES[kind]
         np.testing.assert_allclose(vehicle.size_lwh, [base.length, base.width, base.height], rtol=0.17)
-        body = vehicle.mesh.vertices[vehicle.mesh.triangles[vehicle.mesh.charts != Chart.MIRROR]].reshape(-1, 3)
+        body = vehicle.mesh.vertices[vehicle.mesh.body_vertices]
         np.testing.assert_allclose(np.ptp(body, axis=0), vehicle.size_lwh)
         assert vehicle.mesh.vertices[:, 2].min() == pytest.approx(0)
         np.testing.assert_allclose(np.linalg.norm(vehicle.mesh.normals, axis=-1), 1, atol=1e-4)
