@@ -88,7 +88,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     upright = shape.bed is not None or (shape.kind in ("suv", "minivan", "estate", "van") and rng.random() < 0.5)
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
-        rails = int(rng.choice(3, p=[0.45, 0.25, 0.3]))
+        rails = int(rng.choice(3, p=[0.45, 0.37, 0.18]))
     family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
         grille=int(rng.choice(7, p=[0.22, 0.16, 0.05, 0.16, 0.18, 0.08, 0.15])),
@@ -111,7 +111,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
     ((0.62, 0.62, 0.60), _INK, True), ((0.42, 0.32, 0.09), _INK, True),
-    ((0.085, 0.22, 0.37), (0.58, 0.60, 0.61), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
+    ((0.12, 0.235, 0.36), (0.58, 0.60, 0.61), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 

@@ -179,7 +179,7 @@ def _head_lamps(
     longer = rng.uniform(1.0, 1.25)
     points = [(0.98 - longer * (0.98 - y), 0.82 + 1.1 * (t - 0.82)) for y, t in _HEAD_LAMPS[style.lamp]]
     # Some are silver all over, some dark; those that part from the paint show.
-    low, high = (0.06, 0.2) if paint_level > 0.3 else (0.22, 0.5)
+    low, high = (0.07, 0.2) if paint_level > 0.3 else (0.3, 0.7)
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     glass: Colour = (shine, 1.01 * shine, 1.03 * shine)
     bowls, day_light = rng.random() < 0.55, rng.random() < 0.35
@@ -195,10 +195,10 @@ def _head_lamps(
         for along, up, share in ((0.10, 0.02, 0.34), (-0.12, -0.04, 0.26)):
             spot = (float(middle[0]) + side * along * face.half, float(middle[1]) + up * tall)
             size = min(share * tall, 0.055)
-            inside = dim(glass, 1.8) if bowls else dim(glass, 0.45)
-            skin.circle(Chart.FRONT, spot, 1.2 * size, inside, LAMP)
-            skin.circle(Chart.FRONT, (spot[0], spot[1] - 0.4 * size), 0.7 * size, dim(inside, 0.6), LAMP)
-            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.45 * size, dim(_REFLECTOR, 1.5), LAMP)
+            inside = _REFLECTOR if bowls else dim(glass, 0.5)
+            skin.circle(Chart.FRONT, spot, 1.25 * size, inside, LAMP)
+            skin.circle(Chart.FRONT, (spot[0], spot[1] - 0.5 * size), 0.6 * size, dim(inside, 0.6), LAMP)
+            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.55 * size, dim(_REFLECTOR, 1.6), LAMP)
             if lamps and along > 0:
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
         if day_light:

@@ -253,7 +253,7 @@ def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     out = out + (white - out) * cloud * 0.5
     if light.sun.max() > 0.3:  # air is bright around the sun
         off = 1 - (x * light.sun_direction[0] + y * light.sun_direction[1] + z * light.sun_direction[2])[..., None]
-        out = out + light.sun * (0.55 * np.exp(-off / 0.02) + 0.14 * np.exp(-off / 0.15))
+        out = out + light.sun * (0.55 * np.exp(-off / 0.02) + 0.07 * np.exp(-off / 0.15))
     # Woods and houses, lower where the road runs.
     skyline = (0.14 + 0.12 * _waves(azimuth, rng, 7)) * (0.25 + 0.75 * np.abs(np.sin(azimuth)))
     dark = light.horizon * (1 + 0.5 * _waves(azimuth * 3, rng, 5))[..., None]

@@ -214,12 +214,13 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
     if style.rails:
-        rail = (BLACK, MATTE) if style.rails == 1 else (dim(CHROME_TONE, 0.6), LAMP)
+        rail = (BLACK, MATTE) if style.rails == 1 else (dim(CHROME_TONE, 0.5), LAMP)
         for y in (edge, -edge):
             skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
     elif shape.kind != "bus" and shape.cargo is None:
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], dim(paint, 0.75), PAINT)
+            tone = BLACK if style.dark_roof else dim(paint, 0.75)
+            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], tone, PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
     if sunroof < 0.10 and shape.kind not in ("van", "bus") and shape.cargo is None:
         long = 0.75 if sunroof < 0.06 else roof[1] - roof[0] - 0.3
@@ -275,7 +276,7 @@ def _top_pane(
     lower = np.stack([d0 + setback(shape, d0, y0), y0], axis=1)
     upper = np.stack([d1 + setback(shape, d1, y1), y1], axis=1)
     ring = np.concatenate([lower, upper[::-1]])
-    pane(skin, Chart.TOP, ring, glass)
+    pane(skin, Chart.TOP, ring, glass, rim=0.93)
     middle = ring.mean(axis=0)
     inner = middle + 0.94 * (np.concatenate([lower, upper]) - middle)
     return ring, on_screen(inner[:9][::-1], inner[9:][::-1])

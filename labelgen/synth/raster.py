@@ -244,7 +244,7 @@ def _light_on(
     # The road before a face that is turned from the sun lies in the vehicle's own shadow.
     ground = 1.0
     if light[6] > 0.3:
-        ground -= 0.55 * min(1.0, max(0.0, -1.6 * (nx * sun_x + ny * sun_y)))
+        ground -= 0.35 * min(1.0, max(0.0, -1.6 * (nx * sun_x + ny * sun_y)))
     below = (1 - up) * ground
     amb_r = (up * (0.35 * light[12] + 0.65 * light[15]) + below * light[3]) * open_sky
     amb_g = (up * (0.35 * light[13] + 0.65 * light[16]) + below * light[4]) * open_sky

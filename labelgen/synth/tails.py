@@ -168,7 +168,7 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.
     low, high = shape.rear_window[1] + 0.03, shape.roof_rear[1] - 0.05
     y0, y1 = cabin_edge(shape, half, low) - 0.08, cabin_edge(shape, half, high) - 0.08
     ring = [(-y0, low), (y0, low), (y1, high), (-y1, high)]
-    inner = pane(skin, Chart.REAR, ring, style.rear_glass)
+    inner = pane(skin, Chart.REAR, ring, style.rear_glass, rim=0.93)
     placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])
     behind_rear_screen(skin, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
     gleam(skin, Chart.REAR, inner, rng, 0.2 + 0.25 * style.rear_clear)
