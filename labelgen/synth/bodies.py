@@ -45,7 +45,7 @@ def top_line(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         face_edge(shape),
         (reach, shape.nose),
         # A bonnet bulges.
-        *((reach + t * (shape.cowl[0] - reach), shape.nose + rise * (1 - (1 - t) ** 1.3)) for t in (0.3, 0.6, 0.85)),
+        *((reach + t * (shape.cowl[0] - reach), shape.nose + rise * (1 - (1 - t) ** 1.55)) for t in (0.3, 0.6, 0.85)),
         shape.cowl,
         shape.roof_front,
         # A roof is an arc.

@@ -91,12 +91,12 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
         rails = int(rng.choice(3, p=[0.45, 0.37, 0.18]))
     family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
-        grille=int(rng.choice(7, p=[0.22, 0.16, 0.05, 0.16, 0.18, 0.08, 0.15])),
+        grille=int(rng.choice(7, p=[0.30, 0.14, 0.03, 0.06, 0.22, 0.10, 0.15])),
         lamp=int(rng.integers(6)),
         rear_lamp=int(rng.choice(6, p=_UPRIGHT_LAMPS if upright else _WIDE_LAMPS)),
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
-        chrome=bool(rng.random() < 0.25),
+        chrome=bool(rng.random() < 0.14),
         glass=(0.85 * dark, 1.15 * dark, 1.15 * dark),
         rear_glass=(behind, behind * 1.1, behind * 1.1),
         clear=clear * (0.4 if private else 1.0),
@@ -110,7 +110,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.62, 0.62, 0.60), _INK, True), ((0.42, 0.32, 0.09), _INK, True),
+    ((0.62, 0.62, 0.60), _INK, True), ((0.52, 0.39, 0.10), _INK, True),
     ((0.12, 0.235, 0.36), (0.58, 0.60, 0.61), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""

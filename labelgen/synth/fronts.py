@@ -182,6 +182,7 @@ def _head_lamps(
     low, high = (0.07, 0.2) if paint_level > 0.3 else (0.3, 0.7)
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     glass: Colour = (shine, 1.01 * shine, 1.03 * shine)
+    depth = rng.uniform(0.2, 0.75)
     bowls, day_light = rng.random() < 0.55, rng.random() < 0.35
     for side in (-1, 1):
         ring = face.at(points, side)
@@ -189,7 +190,10 @@ def _head_lamps(
         skin.polygon(Chart.FRONT, smooth, dim(glass, 0.35), LAMP)
         inner = middle + 0.9 * (smooth - middle)
         skin.polygon(Chart.FRONT, inner, glass, LAMP)
-        skin.fade(Chart.FRONT, inner, dim(glass, 0.3), (0.0, 0.45))
+        skin.fade(Chart.FRONT, inner, dim(glass, 0.3), (0.0, 0.6))
+        # The part beside the grille is darker than the bowls at the outer end.
+        hidden = middle + np.array([0.7, 0.75]) * (smooth - middle) - np.array([side * 0.07 * face.half, 0.0])
+        skin.fade(Chart.FRONT, hidden, (0.03, 0.03, 0.032), (depth, depth))
         skin.bow(Chart.FRONT, smooth, (1.0, 1.2), (0.0, 0.35))
         tall = float(np.ptp(smooth[:, 1]))
         for along, up, share in ((0.10, 0.02, 0.34), (-0.12, -0.04, 0.26)):

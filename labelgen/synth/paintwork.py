@@ -222,8 +222,8 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
             tone = BLACK if style.dark_roof else dim(paint, 0.75)
             skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], tone, PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
-    if sunroof < 0.10 and shape.kind not in ("van", "bus") and shape.cargo is None:
-        long = 0.75 if sunroof < 0.06 else roof[1] - roof[0] - 0.3
+    if sunroof < 0.06 and shape.kind not in ("van", "bus") and shape.cargo is None:
+        long = 0.75 if sunroof < 0.035 else roof[1] - roof[0] - 0.3
         long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
         gleam(skin, Chart.TOP, pane(skin, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)

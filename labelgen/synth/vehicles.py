@@ -23,7 +23,7 @@ __all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
-    ((0.70, 0.705, 0.70), 0.0, 0.25),
+    ((0.75, 0.75, 0.745), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
     ((0.085, 0.088, 0.092), 0.6, 0.19),
     ((0.013, 0.0125, 0.014), 0.3, 0.20),
@@ -34,7 +34,7 @@ _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.022, 0.066, 0.042), 0.4, 0.02),
     ((0.21, 0.19, 0.155), 0.6, 0.025),
     ((0.46, 0.27, 0.06), 0.1, 0.005),
-    ((0.44, 0.38, 0.15), 0.0, 0.005),
+    ((0.40, 0.34, 0.15), 0.0, 0.005),
 )
 
 _WHITE = 0.6
