@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labelgen.synth.bodies import cabin_edge
-from labelgen.synth.cabin import behind_windscreen, on_screen
+from labelgen.synth.cabin import OnScreen, behind_windscreen, on_screen
 from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, gleam, mirrored, pane, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, LIT, MATTE, PAINT
@@ -28,16 +28,16 @@ def draw_cab_front(
     skin.rectangle(Chart.FRONT, (-half, 0), (half, shape.clearance + 0.12), TRIM, MATTE)
     skin.emboss(Chart.FRONT, [(-half, 0), (half, 0), (half, bumper), (-half, bumper)], 0.03, soft=True)
     skin.shadow(Chart.FRONT, [(-half, bumper), (half, bumper)], 0.5, 0.07)
-    hollow = rng.uniform(0.012, 0.03)
+    hollow = rng.uniform(0.018, 0.07)
     dark: Colour = (hollow, hollow, 1.04 * hollow)
     wide, top = rng.uniform(0.62, 0.78) * half, cowl - rng.uniform(0.12, 0.22)
     foot = bumper + rng.uniform(0.03, 0.12)
     panel = rounded([(-0.94 * wide, foot), (0.94 * wide, foot), (wide, top), (-wide, top)], 0.06)
-    if rng.random() < 0.75:
+    if rng.random() < 0.55:
         skin.polygon(Chart.FRONT, panel, dark, MATTE)
     skin.emboss(Chart.FRONT, panel, -0.02)
     for z in np.arange(foot + 0.06, top - 0.1, rng.uniform(0.09, 0.16)).tolist():
-        skin.line(Chart.FRONT, [(-0.9 * wide, z), (0.9 * wide, z)], dim(dark, 2.2), MATTE, 0.03)
+        skin.line(Chart.FRONT, [(-0.9 * wide, z), (0.9 * wide, z)], dim(dark, rng.uniform(0.5, 2.2)), MATTE, 0.03)
         skin.groove(Chart.FRONT, [(-0.9 * wide, z), (0.9 * wide, z)], -0.008, 0.04)
     name = dim(CHROME_TONE, rng.uniform(0.4, 0.9))
     for k in range(int(rng.integers(3, 7))):
@@ -89,11 +89,32 @@ def _screen(skin: Skin, shape: Shape, style: Style, heights: tuple[float, float]
     inner = pane(skin, Chart.FRONT, ring, style.glass, rim=0.97)
     inside = on_screen([(0.95 * y, low + 0.04) for y in (-foot, foot)], [(0.95 * y, high) for y in (-head, head)])
     # A cab has a wall behind its seats; a bus is long and dark inside.
-    behind_windscreen(skin, Chart.FRONT, inside, style.glass, 0.15 * style.clear, rng)
+    behind_windscreen(skin, Chart.FRONT, inside, style.glass, 0.5 * style.clear, rng)
+    _trim(skin, inside, rng)
     for at in (-0.5, 0.1):
         wiper = inside([(at + 0.5, 0.0), (at, 0.05 + 0.03 * rng.random())])
         skin.line(Chart.FRONT, wiper, BLACK, MATTE, 0.03)
-    gleam(skin, Chart.FRONT, inner, rng, 0.7)
+    gleam(skin, Chart.FRONT, inner, rng, rng.uniform(0.5, 1.1))
+
+
+def _trim(skin: Skin, inside: OnScreen, rng: np.random.Generator) -> None:
+    """Curtains at the sides, a visor folded down, cards and pennants along the foot."""
+    level = rng.uniform(0.02, 0.16)
+    cloth: Colour = (level, level * rng.uniform(0.6, 1.0), level * rng.uniform(0.5, 1.0))
+    for side in (-1, 1):
+        fold = rng.uniform(0.80, 0.93)
+        ring = [(side * y, up) for y, up in ((0.98, 0.1), (0.98, 0.98), (fold - 0.06, 0.98), (fold, 0.1))]
+        skin.polygon(Chart.FRONT, inside(ring), cloth, GLASS)
+    if rng.random() < 0.7:
+        start, shade = rng.uniform(-0.9, 0.1), rng.uniform(0.02, 0.09)
+        visor = [(start, 0.78), (start + 0.8, 0.78), (start + 0.8, 0.97), (start, 0.97)]
+        skin.polygon(Chart.FRONT, inside(visor), (shade, shade, shade), GLASS)
+    for _ in range(int(rng.integers(0, 4))):
+        at, bright = rng.uniform(-0.85, 0.75), rng.uniform(0.08, 0.4)
+        card = [(at, 0.03), (at + rng.uniform(0.06, 0.3), 0.03), (at + rng.uniform(0.06, 0.3), 0.1), (at, 0.1)]
+        skin.polygon(
+            Chart.FRONT, inside(card), (bright, bright * rng.uniform(0.5, 1), bright * rng.uniform(0.3, 1)), GLASS
+        )
 
 
 def _lamp(

@@ -88,7 +88,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     upright = shape.bed is not None or (shape.kind in ("suv", "minivan", "estate", "van") and rng.random() < 0.5)
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
-        rails = int(rng.choice(3, p=[0.45, 0.37, 0.18]))
+        rails = int(rng.choice(3, p=[0.58, 0.24, 0.18]))
     family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
         grille=int(rng.choice(7, p=[0.30, 0.14, 0.03, 0.06, 0.22, 0.10, 0.15])),

@@ -82,12 +82,12 @@ def _stains(skin: Skin, ends: tuple[float, float], half: float, rng: np.random.G
     sheet = [(start, -half), (end, -half), (end, half), (start, half)]
     veil = rng.uniform(0.1, 0.45)
     skin.fade(Chart.TOP, sheet, _GRIME, (veil, veil * rng.uniform(0.5, 1.2)), level=True)
-    for _ in range(int(rng.integers(4, 14))):
+    for _ in range(int(rng.integers(10, 30))):
         d, y = rng.uniform(start, end), rng.uniform(-half, half)
         angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         reach = rng.uniform(0.1, 0.9) * rng.uniform(0.6, 1.4, 12)
         blot = np.stack([d + 1.5 * reach * np.cos(angle), y + 0.6 * reach * np.sin(angle)], axis=1)
-        skin.fade(Chart.TOP, blot.clip([start, -half], [end, half]), _GRIME, (rng.uniform(0.05, 0.3),) * 2)
+        skin.fade(Chart.TOP, blot.clip([start, -half], [end, half]), _GRIME, (rng.uniform(0.02, 0.10),) * 2)
     for d in np.arange(start + rng.uniform(0.6, 1.5), end, rng.uniform(0.9, 2.4)).tolist():
         skin.groove(Chart.TOP, [(d, -half), (d, half)], 0.006)
         skin.shadow(Chart.TOP, [(d, -half), (d, half)], 0.12, 0.04)
@@ -111,7 +111,7 @@ def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
 
 
 def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator) -> None:
-    """A company's name as bars of ink, on the sides and the back."""
+    """A company's name and number, on the sides and the back."""
     assert shape.cargo is not None
     if rng.random() < 0.25:
         return
@@ -121,29 +121,34 @@ def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator)
     if rng.random() < 0.4:
         band = (start, low + 0.1), (shape.length, low + rng.uniform(0.25, 0.5) * tall)
         skin.rectangle(Chart.SIDE, *band, _ink(rng), PAINT)
-    base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.3) * tall
-    for k in range(int(rng.integers(4, 11))):
-        wide = rng.uniform(0.3, 0.8) * size
-        d = left + 0.9 * size * k
-        if d + wide < shape.length - 0.3:
-            skin.rectangle(Chart.SIDE, (d, base), (d + wide, base + size), ink, PAINT)
-            skin.rectangle(
-                Chart.SIDE, (d + 0.3 * wide, base + 0.3 * size), (d + 0.6 * wide, base + 0.6 * size), dim(ink, 2), PAINT
-            )
-    if rng.random() < 0.4:
-        at, left, half = low + rng.uniform(0.4, 0.7) * tall, rng.uniform(-0.95, -0.5), shape.width / 2
-        for row in range(int(rng.integers(1, 4))):
-            end, high_row = rng.uniform(0.2, 0.95), 0.28 / (1 + row)
-            for y in np.arange(left, end, 0.9 * high_row).tolist():
-                ring = [
-                    (y, at),
-                    (y + 0.6 * high_row, at),
-                    (y + 0.65 * high_row, at + high_row),
-                    (y + 0.1, at + high_row),
-                ]
-                if y + 0.65 * high_row < half:
-                    skin.polygon(Chart.REAR, ring, ink, PAINT)
-            at -= 0.75 * high_row
+    base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.28) * tall
+    name = _name(rng)
+    size = min(size, 0.9 * (shape.length - 0.3 - left) / max(len(name), 1))
+    skin.text(Chart.SIDE, (left, base), name, size, ink, PAINT)
+    if rng.random() < 0.6:
+        half = shape.width / 2
+        if rng.random() < 0.5:
+            name = f"{name} {rng.choice(_TRADES)}"
+        size = min(rng.uniform(0.16, 0.34), 1.7 * half / len(name))
+        at, foot = -0.5 * size * len(name), low + rng.uniform(0.45, 0.75) * tall
+        skin.text(Chart.REAR, (max(at, -0.9 * half), foot), name, size, ink, PAINT)
+        if rng.random() < 0.6:
+            skin.text(Chart.REAR, (-0.7 * half, foot - 0.5 * size - 0.12), _small_print(rng), 0.09, ink, PAINT)
+
+
+# Both sides of a vehicle show one drawing, on the right mirrored: these letters read either way.
+_SYLLABLES = ("MA", "TO", "VI", "HA", "XI", "YO", "TU", "WA", "AM", "OT", "IVA", "OHM")
+_TRADES = ("TRANSPORT", "CARGO", "EXPRESS", "LOGISTIK", "FREIGHT", "FRESH", "SPEDITION", "MOVERS", "PAPIER", "BAU")
+
+
+def _name(rng: np.random.Generator) -> str:
+    """What a company might be called."""
+    return "".join(rng.choice(_SYLLABLES, int(rng.integers(2, 4))))
+
+
+def _small_print(rng: np.random.Generator) -> str:
+    """A telephone number."""
+    return " ".join("".join(rng.choice(list("0123456789"), 3)) for _ in range(3))
 
 
 def _back_doors(skin: Skin, half: float, low: float, high: float, seam: Colour) -> None:
@@ -284,11 +289,11 @@ def _advertisement(skin: Skin, place: tuple[float, float, float], rng: np.random
         [y + 0.5 * half * np.cos(np.arange(12) * np.pi / 6), z + reach * np.sin(np.arange(12) * np.pi / 6)], 1
     )
     skin.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), _ink(rng), PAINT)
-    for line in np.arange(low + 0.07, high - 0.1, rng.uniform(0.12, 0.2)).tolist():
-        ink, at, size = _ink(rng), -0.85 * half, rng.uniform(0.04, 0.08)
-        while at < rng.uniform(0.2, 0.85) * half:
-            skin.rectangle(Chart.REAR, (at, line), (at + size * rng.uniform(0.4, 0.9), line + size), ink, PAINT)
-            at += 1.1 * size
+    size = rng.uniform(0.07, 0.13)
+    for line in np.arange(low + 0.06, high - size, 1.6 * size).tolist():
+        words = f"{_name(rng)} {rng.choice(_TRADES)}" if rng.random() < 0.6 else _small_print(rng)
+        small = min(size, 1.6 * half / len(words))
+        skin.text(Chart.REAR, (-0.85 * half, line), words, small, _ink(rng), PAINT)
 
 
 def draw_bus_rear(

@@ -90,7 +90,7 @@ def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator
     inner = pane(skin, Chart.FRONT, ring, style.glass)
     placed = on_screen([(0.95 * y, foot + 0.03) for y in (-low, low)], [(y, head - 0.03) for y in (-high, high)])
     behind_windscreen(skin, Chart.FRONT, placed, style.glass, style.clear, rng)
-    gleam(skin, Chart.FRONT, inner, rng)
+    gleam(skin, Chart.FRONT, inner, rng, rng.uniform(0.4, 0.9))
 
 
 def _mouths(skin: Skin, face: _Face, style: Style, paint: Colour, rng: np.random.Generator) -> None:

@@ -229,7 +229,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         gleam(skin, Chart.TOP, pane(skin, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)
     if shape.kind == "van":
         for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
-            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.012, soft=True)
+            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.006, soft=True)
     if rng.random() < 0.6 and shape.cargo is None:
         d = roof[1] - 0.05
         skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)

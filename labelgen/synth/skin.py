@@ -23,6 +23,8 @@ _PPM, _PPM_LONG = 96, 56
 _LONG_M = 6.5
 # By how many texels, where one that is seen squarely fills a pixel.
 _FORESHORTENED = ((Chart.SIDE, 5), (Chart.TOP, 3))
+_FONT, _CAPITAL_PX = cv2.FONT_HERSHEY_DUPLEX, 21.0
+"""And how tall its capitals are at scale 1."""
 _FINE_PX, _SOFT_PX, _SOFT_SHADOW_PX = 1.2, 6.0, 5
 
 Colour = tuple[float, float, float]
@@ -97,6 +99,24 @@ class Skin:
         view = self._colours[self._rows(chart)]
         thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, _texel(colour, material), thick, cv2.LINE_8, 4)
+
+    def text(
+        self, chart: Chart, at: tuple[float, float], words: str, height: float, colour: Colour, material: int
+    ) -> float:
+        """Write words; returns how wide they are, metres.
+
+        Args:
+            chart: drawing.
+            at: lower left corner, as for `polygon`.
+            words: ASCII.
+            height: of capitals, metres.
+            colour, material: of the letters.
+        """
+        view = self._colours[self._rows(chart)]
+        x, y = (self._pixels(chart, [at])[0] / 16).round().astype(int).tolist()
+        scale, thick = height * self.ppm / _CAPITAL_PX, max(1, round(0.17 * height * self.ppm))
+        cv2.putText(view, words, (x, y), _FONT, scale, _texel(colour, material), thick, cv2.LINE_8)
+        return float(cv2.getTextSize(words, _FONT, scale, thick)[0][0] / self.ppm)
 
     def fade(self, chart: Chart, points: Any, colour: Colour, shares: Sequence[float], *, level: bool = False) -> None:
         """Mix a colour into what is painted within a polygon: reflections on glass, dust on panels.
