@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 BLACK: Colour = (0.010, 0.010, 0.011)
-TRIM: Colour = (0.036, 0.036, 0.038)
+TRIM: Colour = (0.045, 0.045, 0.047)
 SILL = 0.05
 """Height of the dark edge below a body's paint where there is no cladding, metres."""
 CHROME_TONE: Colour = (0.50, 0.50, 0.51)
@@ -111,7 +111,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
     ((0.62, 0.62, 0.60), _INK, True), ((0.52, 0.39, 0.10), _INK, True),
-    ((0.12, 0.235, 0.36), (0.58, 0.60, 0.61), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
+    ((0.15, 0.24, 0.33), (0.56, 0.58, 0.59), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""
 

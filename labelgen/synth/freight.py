@@ -101,7 +101,7 @@ def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     side = [(start, low), (length, low), (length, high), (start, high)]
     back = [(-half, low), (half, low), (half, high), (-half, high)]
     for chart, ring in ((Chart.SIDE, side), (Chart.REAR, back)):
-        skin.fade(chart, ring, _GRIME, (rng.uniform(0.0, 0.2), rng.uniform(0.25, 0.6)))
+        skin.fade(chart, ring, _GRIME, (rng.uniform(0.05, 0.3), rng.uniform(0.3, 0.75)))
         skin.bow(chart, ring, (0.02, rng.uniform(0.02, 0.08)))
     for _ in range(int(rng.integers(3, 12))):
         d, long = rng.uniform(start, length), rng.uniform(0.3, 1.6)
@@ -113,7 +113,7 @@ def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
 def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator) -> None:
     """A company's name and number, on the sides and the back."""
     assert shape.cargo is not None
-    if rng.random() < 0.25:
+    if rng.random() < 0.1:
         return
     _, low, high = shape.cargo
     tall, long = high - low, shape.length - start
@@ -125,7 +125,7 @@ def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator)
     name = _name(rng)
     size = min(size, 0.9 * (shape.length - 0.3 - left) / max(len(name), 1))
     skin.text(Chart.SIDE, (left, base), name, size, ink, PAINT)
-    if rng.random() < 0.6:
+    if rng.random() < 0.8:
         half = shape.width / 2
         if rng.random() < 0.5:
             name = f"{name} {rng.choice(_TRADES)}"

@@ -79,7 +79,7 @@ def _sheet_metal(skin: Skin, face: _Face, rng: np.random.Generator) -> None:
     line = face.at([(-0.98, ledge + rise), (-0.5, ledge), (0.5, ledge), (0.98, ledge + rise)])
     skin.emboss(Chart.FRONT, [*line, *face.at([(1, 0), (-1, 0)])], 0.022, soft=True)
     skin.shadow(Chart.FRONT, line, rng.uniform(0.1, 0.3), 0.05)
-    skin.shadow(Chart.FRONT, face.at([(-1, 0.02), (1, 0.02)]), 0.7, 0.12)
+    skin.shadow(Chart.FRONT, face.at([(-1, 0.02), (1, 0.02)]), 0.45, 0.10)
 
 
 def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator) -> None:
@@ -177,9 +177,9 @@ def _head_lamps(
 ) -> None:
     # Their inner ends reach inwards by more or less.
     longer = rng.uniform(1.0, 1.25)
-    points = [(0.98 - longer * (0.98 - y), 0.82 + 1.1 * (t - 0.82)) for y, t in _HEAD_LAMPS[style.lamp]]
+    points = [(0.98 - longer * (0.98 - y), 0.82 + 1.3 * (t - 0.82)) for y, t in _HEAD_LAMPS[style.lamp]]
     # Some are silver all over, some dark; those that part from the paint show.
-    low, high = (0.07, 0.2) if paint_level > 0.3 else (0.3, 0.7)
+    low, high = (0.04, 0.13) if paint_level > 0.3 else (0.3, 0.7)
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     glass: Colour = (shine, 1.01 * shine, 1.03 * shine)
     depth = rng.uniform(0.2, 0.75)

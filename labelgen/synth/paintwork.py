@@ -139,12 +139,12 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
     # Each pane stands a little askew and mirrors another part of what is beside the road.
     for start, end in pairwise([low, *pillars, high]):
         ring = [(start, sill), (end, sill), (end, shape.height), (start, shape.height)]
-        level = float(rng.uniform(0.04, 0.26))
+        level = float(rng.uniform(0.06, 0.34))
         skin.fade(Chart.SIDE, ring, (0.85 * level, level, 1.05 * level), (rng.uniform(0.3, 0.6), 0.08))
-    body_pillars = rng.random() < 0.25
+    body_pillars = rng.random() < 0.5
     for p in pillars:
         tone = dim(paint, 0.9) if body_pillars else BLACK
-        skin.rectangle(Chart.SIDE, (p - 0.06, sill), (p + 0.06, shape.height), tone, PAINT)
+        skin.rectangle(Chart.SIDE, (p - 0.065, sill), (p + 0.065, shape.height), tone, PAINT)
         skin.shadow(Chart.SIDE, [(p - 0.07, sill), (p - 0.07, shape.height)], 0.3, 0.03)
     skin.line(Chart.SIDE, [(low, sill), (high, sill)], (0.03, 0.03, 0.032), PAINT, 0.03)
     # The band of roof above the windows.
@@ -209,7 +209,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
         behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
-        gleam(skin, Chart.TOP, ring, rng, 0.2 + 0.25 * style.rear_clear)
+        gleam(skin, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
     if shape.cowl[0] > 0.6:
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
@@ -222,8 +222,8 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
             tone = BLACK if style.dark_roof else dim(paint, 0.75)
             skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], tone, PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
-    if sunroof < 0.06 and shape.kind not in ("van", "bus") and shape.cargo is None:
-        long = 0.75 if sunroof < 0.035 else roof[1] - roof[0] - 0.3
+    if sunroof < 0.03 and shape.kind not in ("van", "bus") and shape.cargo is None:
+        long = 0.75 if sunroof < 0.02 else roof[1] - roof[0] - 0.3
         long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
         gleam(skin, Chart.TOP, pane(skin, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)

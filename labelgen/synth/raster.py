@@ -240,7 +240,7 @@ def _light_on(
     lambert = max(0.0, nx * sun_x + ny * sun_y + nz * sun_z)
     # Sky from above, light from the road from below, both held back near the ground and in hollows.
     up = 0.5 + 0.5 * nz
-    open_sky = min(1.0, 0.22 + 0.78 * pz / paint[2])
+    open_sky = min(1.0, 0.36 + 0.64 * pz / paint[2])
     # The road before a face that is turned from the sun lies in the vehicle's own shadow.
     ground = 1.0
     if light[6] > 0.3:

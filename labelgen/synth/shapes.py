@@ -138,7 +138,7 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
     roof_rear, rear_window = (_stretched(point, along, up) for point in (base.roof_rear, base.rear_window))
     window = min(rear_window[0] + tail, base.length * along - 0.13)
     places = (None, roof_front[0] + screen + 0.15, roof_rear[0] + tail - 0.15)
-    aerial = places[int(rng.choice(3, p=[0.72, 0.08, 0.2]))] if car else None
+    aerial = places[int(rng.choice(3, p=[0.84, 0.05, 0.11]))] if car else None
     return replace(
         base,
         length=base.length * along,

@@ -85,9 +85,9 @@ def _bumper(
     skin.emboss(Chart.REAR, [*edge, (half, 0), (-half, 0)], 0.03, soft=True)
     skin.line(Chart.REAR, edge, dim(paint, 0.45), PAINT, 0.014)
     skin.shadow(Chart.REAR, edge, rng.uniform(0.25, 0.5), 0.05)
-    skin.shadow(Chart.REAR, [(-half, foot), (half, foot)], 0.5, 0.10)
+    skin.shadow(Chart.REAR, [(-half, foot), (half, foot)], 0.35, 0.08)
     dark = foot + rng.uniform(0.15, 0.5) * (top - foot)
-    if rng.random() < 0.55:  # unpainted below the bumper's middle
+    if rng.random() < 0.35:  # unpainted below the bumper's middle
         skirt = [(-0.80 * half, foot - 0.02), (0.80 * half, foot - 0.02), (0.62 * half, dark), (-0.62 * half, dark)]
         skin.polygon(Chart.REAR, rounded(skirt, 0.06), TRIM, MATTE)
     for side in (-1, 1):
@@ -171,7 +171,7 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.
     inner = pane(skin, Chart.REAR, ring, style.rear_glass, rim=0.93)
     placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])
     behind_rear_screen(skin, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
-    gleam(skin, Chart.REAR, inner, rng, 0.2 + 0.25 * style.rear_clear)
+    gleam(skin, Chart.REAR, inner, rng, 0.12 + 0.2 * style.rear_clear)
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low + 0.01), (0.35, low + 0.09)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
