@@ -124,11 +124,11 @@ def _lamp(
     ring = np.array(mirrored([(y * half, z) for y, z in points], side))
     smooth, middle = rounded(ring, 0.1), ring.mean(axis=0)
     skin.polygon(Chart.FRONT, smooth, TRIM, LAMP)
-    skin.polygon(Chart.FRONT, middle + 0.9 * (smooth - middle), (0.12, 0.122, 0.126), LAMP)
+    skin.polygon(Chart.FRONT, middle + 0.9 * (smooth - middle), (0.26, 0.262, 0.268), LAMP)
     for along in (-0.09, 0.09):
         spot = (float(middle[0]) + side * along, float(middle[1]))
-        skin.circle(Chart.FRONT, spot, 0.065, dim(CHROME_TONE, 0.8), LAMP)
-        skin.circle(Chart.FRONT, spot, 0.04, dim(CHROME_TONE, 0.3), LAMP)
+        skin.circle(Chart.FRONT, spot, 0.065, dim(CHROME_TONE, 1.3), LAMP)
+        skin.circle(Chart.FRONT, spot, 0.03, dim(CHROME_TONE, 0.5), LAMP)
         if lamps and along > 0:
             skin.circle(Chart.FRONT, spot, 0.06, _GLOW, LIT)
     skin.bow(Chart.FRONT, smooth, (0.6, 0.8), (0.0, 0.2))

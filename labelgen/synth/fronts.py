@@ -199,13 +199,15 @@ def _head_lamps(
         for along, up, share in ((0.10, 0.02, 0.34), (-0.12, -0.04, 0.26)):
             spot = (float(middle[0]) + side * along * face.half, float(middle[1]) + up * tall)
             size = min(share * tall, 0.055)
-            inside = _REFLECTOR if bowls else dim(glass, 0.5)
+            # Beside pale paint what shines as pale as it would tear the lamp apart.
+            inside = dim(_REFLECTOR, 0.45 if paint_level > 0.3 else 1.0) if bowls else dim(glass, 0.5)
             skin.circle(Chart.FRONT, spot, 1.25 * size, inside, LAMP)
             skin.circle(Chart.FRONT, (spot[0], spot[1] - 0.5 * size), 0.6 * size, dim(inside, 0.6), LAMP)
-            skin.circle(Chart.FRONT, (spot[0], spot[1] + 0.4 * size), 0.55 * size, dim(_REFLECTOR, 1.6), LAMP)
+            spark = (spot[0], spot[1] + 0.4 * size)
+            skin.circle(Chart.FRONT, spark, (0.35 if paint_level > 0.3 else 0.55) * size, dim(_REFLECTOR, 1.6), LAMP)
             if lamps and along > 0:
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
-        if day_light:
+        if day_light and (lamps or paint_level < 0.3):
             foot = ring[ring[:, 1] < middle[1]]
             skin.line(Chart.FRONT, foot, dim(_REFLECTOR, 1.25), LIT if lamps else LAMP, 0.02)
         _wing_part(skin, shape, face, side, dim(glass, 0.8), points)

@@ -210,6 +210,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
         behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
         gleam(skin, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
+        skin.line(Chart.TOP, ring[:9], BLACK, GLASS, 0.05)
     if shape.cowl[0] > 0.6:
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
@@ -230,7 +231,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     if shape.kind == "van":
         for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
             skin.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.006, soft=True)
-    if rng.random() < 0.6 and shape.cargo is None:
+    if rng.random() < 0.5 and shape.cargo is None and shape.aerial is None:
         d = roof[1] - 0.05
         skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
     if shape.bed is not None:

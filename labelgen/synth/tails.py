@@ -172,6 +172,7 @@ def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.
     placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])
     behind_rear_screen(skin, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
     gleam(skin, Chart.REAR, inner, rng, 0.12 + 0.2 * style.rear_clear)
+    skin.line(Chart.REAR, ring[:2], BLACK, GLASS, 0.05)
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low + 0.01), (0.35, low + 0.09)]
         skin.line(Chart.REAR, wiper, BLACK, MATTE, 0.02)
@@ -193,7 +194,7 @@ def _tail_lamps(
     bright = rng.uniform(0.7, 1.3)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     red: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
-    clear: Colour = dim((0.26, 0.20, 0.19), rng.uniform(0.6, 1.3))
+    clear: Colour = dim((0.20, 0.13, 0.12), rng.uniform(0.6, 1.2))
     pale, mirrored_sky = rng.random(), rng.uniform(0.0, 0.15)
     band = rng.uniform(0.45, 0.7)
     for side in (-1, 1):
@@ -216,13 +217,14 @@ def _tail_lamps(
         if not wide and pale < 0.75:  # reversing lamp and indicator
             inner_end = float(np.abs(ring[:, 0]).min()) + 0.02
             z0 = top - band * tall - 0.1 * tall
-            ends = (inner_end, 0.84 * half) if pale < 0.4 else (0.80 * half, 0.97 * half)
+            ends = (inner_end + 0.03, 0.84 * half) if pale < 0.4 else (0.78 * half, 0.93 * half)
             strip = [(ends[0], z0), (ends[1], z0), (ends[1] - 0.01, z0 + 0.2 * tall), (ends[0] + 0.01, z0 + 0.2 * tall)]
             skin.polygon(Chart.REAR, rounded(mirrored(strip, side), 0.1), clear, LAMP)
         skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
         spark = middle + np.array([side * 0.04 * half, 0.28 * tall])
         skin.circle(Chart.REAR, spark.tolist(), 0.022, (0.55, 0.36, 0.36), LAMP)
-        skin.shadow(Chart.REAR, np.concatenate([smooth, smooth[:1]]), 0.4, 0.025)
+        # A dark gap parts it from the paint.
+        skin.line(Chart.REAR, np.concatenate([smooth, smooth[:1]]), dim(unlit, 0.12), LAMP, 0.018)
         skin.bow(Chart.REAR, smooth, (0.8, 1.0), (0.0, 0.06))
     end = shell_end(shape)
     reach = end + float(setback(shape, end, 0.95 * half)) - 0.16
