@@ -21,7 +21,7 @@ from labelgen.sources.pickles import load_pickle
 from labelgen.synth.footage import Footage, read_footage
 from labelgen.synth.lane_fit import find_lanes
 from labelgen.synth.light import Weather, make_light
-from labelgen.synth.light_fit import fit_to_shadows, fit_to_tones, tones_of
+from labelgen.synth.light_fit import fit_to_shadows, fit_to_tones, footage_parts, tones_of
 from labelgen.synth.render import Renderer
 from labelgen.synth.road import draw_road
 from labelgen.synth.scenes import Scene, look_at_road, procedural_scene
@@ -238,6 +238,31 @@ def test_tones_are_brought_nearer_to_those_of_the_video() -> None:
     assert (np.diff(made) >= 0).all()
     assert 35 < np.interp(drawn.grey[0], levels, made) < 95
     assert 130 < np.interp(drawn.grey[-1], levels, made) < 200
+
+
+def test_shadows_are_no_vehicles() -> None:
+    """A black car has lamps; the core of a shadow below a car is as black and has none."""
+    empty = np.full((200, 300, 3), 120, np.uint8)
+    look = empty.copy()
+    look[50:110, 40:110] = 12  # a car, with lamps and a plate
+    look[86:104, 43:107] = 150
+    look[50:110, 180:250] = 12  # what lies below another
+    noise = np.random.default_rng(0).integers(-3, 4, look.shape)
+    look = np.clip(look + noise, 0, 255).astype(np.uint8)
+    footage = Footage("x", 25.0, look[None], look[None], empty, 0.0, None)
+    road = np.ones((200, 300), bool)
+    parts = list(footage_parts(footage, road, Shadows(0.35, np.array([0.5, 0.5, 0.7]), 5)))
+    assert len(parts) == 1
+    assert parts[0][0].max() > 120
+    assert len(list(footage_parts(footage, road, Shadows(None, None, 0)))) == 2
+
+
+def test_the_foot_of_a_vehicle_does_not_darken_the_picture() -> None:
+    image = np.full((40, 60, 3), 130, np.uint8)
+    image[31:] = 5
+    tones = tones_of([(image, np.ones((40, 60), bool))] * 8)
+    assert tones is not None
+    assert tones.grey[0] == 130
 
 
 def test_sharpening_can_be_taken_back() -> None:

@@ -37,6 +37,31 @@ def test_styles_come_in_families() -> None:
         assert {getattr(s, name) for s in styles} == set(range(count))
 
 
+def test_words_are_as_tall_and_wide_as_said() -> None:
+    skin = Skin((8.0, 2.5, 3.5))
+    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    wide = skin.text(Chart.SIDE, (2.0, 2.0), "MOTO", 0.4, (0.0, 0.0, 0.0), PAINT)
+    rows, columns = np.nonzero(skin.image[: round(3.5 * skin.ppm), :, 0] < 100)
+    assert (np.ptp(rows) + 1) / skin.ppm == pytest.approx(0.4, abs=0.12)
+    assert 3.5 - rows.max() / skin.ppm == pytest.approx(2.0, abs=0.06)
+    assert columns.min() / skin.ppm == pytest.approx(2.0, abs=0.06)
+    assert (np.ptp(columns) + 1) / skin.ppm == pytest.approx(wide, abs=0.1)
+
+
+def test_drawings_seen_foreshortened_are_softened_along_the_road_alone() -> None:
+    skin = Skin((4.0, 2.0, 1.5))
+    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    skin.line(Chart.SIDE, [(2.0, 0.2), (2.0, 1.3)], (0.0, 0.0, 0.0), PAINT, 0.011)
+    skin.line(Chart.SIDE, [(0.2, 0.7), (1.5, 0.7)], (0.0, 0.0, 0.0), PAINT, 0.011)
+    image, _ = skin.level(0.0)
+    row, column = round((1.5 - 1.0) * skin.ppm), round(2.0 * skin.ppm)
+    upright = np.count_nonzero(image[row, column - 6 : column + 7, 0] < 178)
+    lying = np.count_nonzero(
+        image[round(0.8 * skin.ppm) - 6 : round(0.8 * skin.ppm) + 7, round(0.8 * skin.ppm), 0] < 178
+    )
+    assert upright == lying + 2
+
+
 def test_relief_tilts_towards_its_edges_alone() -> None:
     skin = Skin((4.0, 2.0, 1.5))
     skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
