@@ -183,7 +183,7 @@ def _head_lamps(
     shine = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     glass: Colour = (shine, 1.01 * shine, 1.03 * shine)
     depth = rng.uniform(0.2, 0.75)
-    bowls, day_light = rng.random() < 0.55, rng.random() < 0.35
+    bowls, day_light = rng.random() < 0.55, rng.random() < 0.25
     for side in (-1, 1):
         ring = face.at(points, side)
         smooth, middle = rounded(ring, 0.10), ring.mean(axis=0)
@@ -207,9 +207,10 @@ def _head_lamps(
             skin.circle(Chart.FRONT, spark, (0.35 if paint_level > 0.3 else 0.55) * size, dim(_REFLECTOR, 1.6), LAMP)
             if lamps and along > 0:
                 skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
-        if day_light and (lamps or paint_level < 0.3):
-            foot = ring[ring[:, 1] < middle[1]]
-            skin.line(Chart.FRONT, foot, dim(_REFLECTOR, 1.25), LIT if lamps else LAMP, 0.02)
+        if day_light:
+            # Daytime running lights burn by day, too: a strip along the lamp's foot.
+            foot = middle + 0.75 * (ring[np.argsort(ring[:, 1])[:2]] - middle)
+            skin.line(Chart.FRONT, foot, dim(_GLOW, 0.75), LIT, 0.018)
         _wing_part(skin, shape, face, side, dim(glass, 0.8), points)
 
 
