@@ -18,17 +18,23 @@ from labelgen.calibrate import bodies
 from labelgen.calibrate.bodies import BODIES_FILE, COMMON_KINDS
 from labelgen.files import write_atomic
 from labelgen.geometry.projective import Array
-from labelgen.synth.bodies import body_mesh
+from labelgen.synth.bodies import body_mesh, outside_parts
 from labelgen.synth.shapes import BODY_TYPES, mean_shape
 
 __all__ = ["corners", "main"]
 
 _DIRECTIONS, _SHORT_M = 3000, 0.01
+_MIRROR_M = 0.05
+"""What silhouettes hold of how far wing mirrors stand out: a part, since they are thin."""
 
 
 def corners(kind: str) -> Array:
     """(V, 3) m, the fewest corners of a body's hull that reach as far as it does in any direction, to a centimetre."""
-    points = body_mesh(mean_shape(kind)).vertices
+    shape = mean_shape(kind)
+    reach = shape.width / 2 + _MIRROR_M
+    mirrors = np.concatenate([part.vertices for part in outside_parts(shape)])
+    mirrors[:, 1] = mirrors[:, 1].clip(-reach, reach)
+    points = np.concatenate([body_mesh(shape).vertices, mirrors])
     # Directions spread evenly over the sphere.
     k = np.arange(_DIRECTIONS) + 0.5
     z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + 5**0.5) * k
