@@ -116,6 +116,6 @@ def test_labels_of_boxes_are_exact_and_those_of_cars_are_not() -> None:
         kind: [abs(c.cc[Rule.CONDITIONED] - c.exact_cc) for c in cases if c.kind == kind] for kind in ("box", "saloon")
     }
     assert len(errors["box"]) > 5
-    assert np.median(errors["box"]) < 0.004 < np.median(errors["saloon"]) < 0.2
+    assert np.median(errors["box"]) < 0.004 < np.median(errors["saloon"]) < 0.25
     assert "| saloon |" not in label_truth.page(cases[:5], 1, 0)
     assert "VP2-VP3" in label_truth.page(cases, 1, 0)
