@@ -6,15 +6,13 @@ import numpy as np
 
 from labelgen.synth.bodies import cabin_edge
 from labelgen.synth.cabin import OnScreen, behind_windscreen, on_screen
-from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.fittings import BLACK, CHROME_TONE, GLOW, TRIM, Style, gleam, mirrored, pane, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim, rounded
 
 __all__ = ["draw_bus_front", "draw_cab_front"]
-
-_GLOW: Colour = (1.0, 0.97, 0.88)
 
 
 def draw_cab_front(
@@ -47,7 +45,7 @@ def draw_cab_front(
     skin.rectangle(Chart.FRONT, (-0.42 * half, 0.40), (0.42 * half, 0.60), dark, MATTE)
     low = rng.uniform(0.50, 0.58)
     for side in (-1, 1):
-        _lamp(skin, [(0.60, low), (0.95, low + 0.02), (0.97, low + 0.24), (0.66, low + 0.20)], half, side, lamps, rng)
+        _lamp(skin, [(0.60, low), (0.95, low + 0.02), (0.97, low + 0.24), (0.66, low + 0.20)], half, side, lamps)
         step = mirrored([(0.70, 0.30), (0.96, 0.30), (0.96, 0.44), (0.74, 0.44)], side)
         skin.polygon(Chart.FRONT, [(y * half, z) for y, z in step], TRIM, MATTE)
         guide = mirrored([(0.86, foot), (1.0, foot), (1.0, cowl), (0.88, cowl - 0.1)], side)
@@ -76,7 +74,7 @@ def draw_bus_front(
         skin.polygon(Chart.FRONT, rounded(band, 0.06), (0.016, 0.016, 0.017), PAINT)
     for side in (-1, 1):
         points = [(0.60, bumper + 0.03), (0.93, bumper + 0.04), (0.95, bumper + 0.26), (0.74, bumper + 0.20)]
-        _lamp(skin, points, half, side, lamps, rng)
+        _lamp(skin, points, half, side, lamps)
     skin.circle(Chart.FRONT, (0, bumper + 0.16), 0.07, dim(CHROME_TONE, 0.7), LAMP)
     _screen(skin, shape, style, (foot, shape.height - 0.42), rng)
     plate(skin, Chart.FRONT, (0, 0.5), style.plate, rng)
@@ -117,9 +115,7 @@ def _trim(skin: Skin, inside: OnScreen, rng: np.random.Generator) -> None:
         )
 
 
-def _lamp(
-    skin: Skin, points: list[tuple[float, float]], half: float, side: int, lamps: bool, rng: np.random.Generator
-) -> None:
+def _lamp(skin: Skin, points: list[tuple[float, float]], half: float, side: int, lamps: bool) -> None:
     """A head lamp, corners in shares of the half-width and metres above the road."""
     ring = np.array(mirrored([(y * half, z) for y, z in points], side))
     smooth, middle = rounded(ring, 0.1), ring.mean(axis=0)
@@ -130,5 +126,5 @@ def _lamp(
         skin.circle(Chart.FRONT, spot, 0.065, dim(CHROME_TONE, 1.3), LAMP)
         skin.circle(Chart.FRONT, spot, 0.03, dim(CHROME_TONE, 0.5), LAMP)
         if lamps and along > 0:
-            skin.circle(Chart.FRONT, spot, 0.06, _GLOW, LIT)
+            skin.circle(Chart.FRONT, spot, 0.06, GLOW, LIT)
     skin.bow(Chart.FRONT, smooth, (0.6, 0.8), (0.0, 0.2))

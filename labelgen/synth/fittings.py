@@ -17,7 +17,9 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = [
     "BLACK",
     "CHROME_TONE",
+    "GLOW",
     "PLATES",
+    "SEAM",
     "SILL",
     "TRIM",
     "Style",
@@ -34,6 +36,10 @@ TRIM: Colour = (0.045, 0.045, 0.047)
 SILL = 0.05
 """Height of the dark edge below a body's paint where there is no cladding, metres."""
 CHROME_TONE: Colour = (0.50, 0.50, 0.51)
+GLOW: Colour = (1.0, 0.97, 0.88)
+"""Of head lamps that are on."""
+SEAM = 0.3
+"""How bright a gap between panels is, as a share of the paint."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labelgen.synth.bodies import cabin_edge, face_edge, setback
 from labelgen.synth.cabin import behind_windscreen, on_screen
-from labelgen.synth.fittings import CHROME_TONE, SILL, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.fittings import CHROME_TONE, GLOW, SILL, TRIM, Style, gleam, mirrored, pane, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
@@ -18,7 +18,6 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front"]
 
 _REFLECTOR: Colour = (0.55, 0.56, 0.57)
-_GLOW: Colour = (1.0, 0.97, 0.88)
 Points = list[tuple[float, float]]
 
 # Head lamps, one half: (share of the half-width, share of the face's height from its foot to the bonnet's edge).
@@ -149,13 +148,13 @@ def _mouths(skin: Skin, face: _Face, style: Style, paint: Colour, rng: np.random
         opening(lower)
         badge = 0.83
     if rng.random() < 0.55:
-        _pods(skin, face, style, dark, low, rng)
+        _pods(skin, face, dark, low, rng)
     size = rng.uniform(0.034, 0.050)
     skin.circle(Chart.FRONT, (0, face.z(badge)), size, dim(CHROME_TONE, rng.uniform(0.4, 0.8)), LAMP)
     skin.circle(Chart.FRONT, (0, face.z(badge)), 0.5 * size, dim(CHROME_TONE, 0.2), PAINT)
 
 
-def _pods(skin: Skin, face: _Face, style: Style, dark: Colour, low: float, rng: np.random.Generator) -> None:
+def _pods(skin: Skin, face: _Face, dark: Colour, low: float, rng: np.random.Generator) -> None:
     """The bumper's corners: dark hollows, most with a fog lamp, some with a strip of light or chrome."""
     kind, tall = int(rng.choice(4, p=[0.35, 0.3, 0.2, 0.15])), rng.uniform(0.18, 0.30)
     for side in (-1, 1):
@@ -206,11 +205,11 @@ def _head_lamps(
             spark = (spot[0], spot[1] + 0.4 * size)
             skin.circle(Chart.FRONT, spark, (0.35 if paint_level > 0.3 else 0.55) * size, dim(_REFLECTOR, 1.6), LAMP)
             if lamps and along > 0:
-                skin.circle(Chart.FRONT, spot, 0.055, _GLOW, LIT)
+                skin.circle(Chart.FRONT, spot, 0.055, GLOW, LIT)
         if day_light:
             # Daytime running lights burn by day, too: a strip along the lamp's foot.
             foot = middle + 0.75 * (ring[np.argsort(ring[:, 1])[:2]] - middle)
-            skin.line(Chart.FRONT, foot, dim(_GLOW, 0.75), LIT, 0.018)
+            skin.line(Chart.FRONT, foot, dim(GLOW, 0.75), LIT, 0.018)
         _wing_part(skin, shape, face, side, dim(glass, 0.8), points)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from labelgen.synth.bodies import cabin_edge, face_edge, setback, shell_end, top_line
 from labelgen.synth.cabin import OnScreen, behind_rear_screen, behind_windscreen, on_screen
 from labelgen.synth.cabs import draw_bus_front, draw_cab_front
-from labelgen.synth.fittings import BLACK, CHROME_TONE, SILL, TRIM, Style, draw_wheels, gleam, pane, sample_style
+from labelgen.synth.fittings import BLACK, CHROME_TONE, SEAM, SILL, TRIM, Style, draw_wheels, gleam, pane, sample_style
 from labelgen.synth.freight import draw_bus, draw_bus_rear, draw_cargo
 from labelgen.synth.fronts import draw_front
 from labelgen.synth.mesh import Chart
@@ -21,8 +21,6 @@ from labelgen.synth.skin import Colour, Skin, dim
 from labelgen.synth.tails import draw_rear
 
 __all__ = ["draw_skin"]
-
-_SEAM = 0.3
 
 
 def draw_skin(
@@ -92,7 +90,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.shadow(Chart.SIDE, _disc((axle, shape.wheel), arch), 0.6, 0.06)
         skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.014, 0.014, 0.014), MATTE)
     for line in ([(0.52, shape.clearance + 0.1), (0.48, shape.nose - 0.26)], [(end - 0.42, sill), (end - 0.38, waist)]):
-        skin.line(Chart.SIDE, line, dim(paint, _SEAM), PAINT)
+        skin.line(Chart.SIDE, line, dim(paint, SEAM), PAINT)
     if rng.random() < 0.3:
         skin.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.69, waist + 0.05), (0.30, 0.15, 0.03), LAMP)
 
@@ -165,7 +163,7 @@ def _doors(
     skin: Skin, shape: Shape, paint: Colour, span: tuple[float, float], pillars: list[float], rng: np.random.Generator
 ) -> None:
     low, high = span
-    sill, foot, seam = shape.belt + 0.02, shape.clearance + 0.16, dim(paint, _SEAM)
+    sill, foot, seam = shape.belt + 0.02, shape.clearance + 0.16, dim(paint, SEAM)
     gaps = [low + 0.05, *pillars[:2], min(high, pillars[-1] + 1.0) if pillars else high]
     for k, p in enumerate(gaps):
         bend = -0.12 if k == len(gaps) - 1 and shape.kind != "van" else 0.0
@@ -194,7 +192,7 @@ def _doors(
 
 def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
     half = shape.width / 2
-    seam = dim(paint, _SEAM)
+    seam = dim(paint, SEAM)
     roof = (shape.roof_front[0] + 0.12, shape.roof_rear[0] - 0.1)
     edge = cabin_edge(shape, half, shape.height) - 0.12
     if style.dark_roof:
@@ -210,7 +208,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
         behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
         gleam(skin, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
-        skin.line(Chart.TOP, ring[:9], BLACK, GLASS, 0.05)
+        skin.line(Chart.TOP, ring[: len(ring) // 2], BLACK, GLASS, 0.05)
     if shape.cowl[0] > 0.6:
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
@@ -280,7 +278,8 @@ def _top_pane(
     pane(skin, Chart.TOP, ring, glass, rim=0.93)
     middle = ring.mean(axis=0)
     inner = middle + 0.94 * (np.concatenate([lower, upper]) - middle)
-    return ring, on_screen(inner[:9][::-1], inner[9:][::-1])
+    half_way = len(across)
+    return ring, on_screen(inner[:half_way][::-1], inner[half_way:][::-1])
 
 
 def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:

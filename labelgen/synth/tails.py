@@ -6,15 +6,13 @@ import numpy as np
 
 from labelgen.synth.bodies import cabin_edge, setback, shell_end
 from labelgen.synth.cabin import behind_rear_screen, on_screen
-from labelgen.synth.fittings import BLACK, CHROME_TONE, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.fittings import BLACK, CHROME_TONE, SEAM, TRIM, Style, gleam, mirrored, pane, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import CHROME, GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim, rounded
 
 __all__ = ["draw_rear"]
-
-_SEAM = 0.3
 
 # Tail lamps, one half: (share of the half-width, share of the lamp's height below its top).
 _TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
@@ -35,7 +33,7 @@ _VAN_LAMPS = (
 
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
-    half, seam = shape.width / 2, dim(paint, _SEAM)
+    half, seam = shape.width / 2, dim(paint, SEAM)
     braking = bool(rng.random() < 0.2)
     foot = shape.clearance + 0.09 + style.cladding
     van = shape.kind == "van"
