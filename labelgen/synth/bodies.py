@@ -12,9 +12,13 @@ from numpy.typing import NDArray
 from labelgen.synth.mesh import Chart, Mesh, box_mesh, join, loft, tube_mesh, wheel_mesh
 from labelgen.synth.shapes import Shape
 
-__all__ = ["body_mesh", "cabin_edge", "face_edge", "outside_parts", "setback", "shell_end", "top_line"]
+__all__ = ["END_M", "body_mesh", "cabin_edge", "face_edge", "outside_parts", "setback", "shell_end", "top_line"]
 
 _FINE = 0.01
+END_M = 0.18
+"""How far behind their middles noses and tails show the drawings of the ends; one of the lofts' sections lies there."""
+_AROUND_CORNERS = 0.3
+"""And how much they have to face that way: the cosine."""
 
 
 def shell_end(shape: Shape) -> float:
@@ -137,11 +141,15 @@ def _shell(shape: Shape) -> Mesh:
         (np.zeros_like(d), z_top),
     ]
     sections = np.stack([np.stack(c, axis=1) for c in columns], axis=1)
-    return _one_drawing_per_screen(shape, loft(shape.length / 2 - d, sections, bow=_bow(shape, d)))
+    return _drawings_of_ends(shape, loft(shape.length / 2 - d, sections, bow=_bow(shape, d)))
 
 
-def _one_drawing_per_screen(shape: Shape, shell: Mesh) -> Mesh:
-    """Screens as steep as 45 degrees would show parts of two drawings: each takes the one that suits it best."""
+def _drawings_of_ends(shape: Shape, shell: Mesh) -> Mesh:
+    """Which drawings screens, nose and tail show.
+
+    Screens as steep as 45 degrees would show parts of two: each takes the one that suits it best. Nose and tail show
+    the drawings of the ends around their corners and up to the lids, so that lamps reach there in one piece.
+    """
     middles = shell.vertices[shell.triangles].mean(axis=1)
     d = shape.length / 2 - middles[:, 0]
     d -= setback(shape, d, middles[:, 1])
@@ -155,6 +163,11 @@ def _one_drawing_per_screen(shape: Shape, shell: Mesh) -> Mesh:
         first, last = sorted((upper[0], lower[0]))
         here = (d > first) & (d < last) & (middles[:, 2] > shape.belt) & (charts != Chart.SIDE) & (normals[:, 2] > -0.1)
         charts[here] = end if steep else Chart.TOP
+    facing = np.abs(normals[:, 0]) > _AROUND_CORNERS
+    if shape.cowl[0] > END_M:
+        charts[facing & (d < END_M)] = Chart.FRONT
+    if shape.cargo is None:
+        charts[facing & (d > shell_end(shape) - END_M)] = Chart.REAR
     return replace(shell, charts=charts)
 
 

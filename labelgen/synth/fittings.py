@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.synth.front_designs import CAR_DESIGNS, VAN_DESIGNS, FrontDesign
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, MATTE, PLATE
 from labelgen.synth.shapes import Shape
@@ -47,8 +48,7 @@ class Style:
     """What a model looks like beyond its proportions.
 
     Args:
-        grille: number of a family of grilles.
-        lamp: number of a family of head lamps.
+        front: its lamps, grille and bumper.
         rear_lamp: number of a family of tail lamps.
         cladding: height of unpainted plastic at the sills, metres; also around the wheels when over 0.1.
         dark_bumpers: whether bumpers are unpainted.
@@ -62,8 +62,7 @@ class Style:
         plate_high: whether the rear plate sits on the boot lid rather than the bumper.
     """
 
-    grille: int
-    lamp: int
+    front: FrontDesign
     rear_lamp: int
     cladding: float
     dark_bumpers: bool
@@ -95,10 +94,11 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
         rails = int(rng.choice(3, p=[0.58, 0.24, 0.18]))
+    designs = VAN_DESIGNS if shape.kind == "van" else CAR_DESIGNS
+    shares = np.array([design.share for design in designs])
     family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
-        grille=int(rng.choice(7, p=[0.30, 0.14, 0.03, 0.06, 0.22, 0.10, 0.15])),
-        lamp=int(rng.integers(6)),
+        front=designs[int(rng.choice(len(designs), p=shares / shares.sum()))],
         rear_lamp=int(rng.choice(6, p=_UPRIGHT_LAMPS if upright else _WIDE_LAMPS)),
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
