@@ -14,6 +14,7 @@ from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, MATTE, PLATE
 from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim, rounded
+from labelgen.synth.tail_designs import CAR_TAILS, VAN_TAILS, TailDesign
 
 __all__ = [
     "BLACK",
@@ -49,7 +50,7 @@ class Style:
 
     Args:
         front: its lamps, grille and bumper.
-        rear_lamp: number of a family of tail lamps.
+        tail: its tail lamps.
         cladding: height of unpainted plastic at the sills, metres; also around the wheels when over 0.1.
         dark_bumpers: whether bumpers are unpainted.
         chrome: whether window frames and grille are bright.
@@ -63,7 +64,7 @@ class Style:
     """
 
     front: FrontDesign
-    rear_lamp: int
+    tail: TailDesign
     cladding: float
     dark_bumpers: bool
     chrome: bool
@@ -77,8 +78,6 @@ class Style:
     plate_high: bool
 
 
-_WIDE_LAMPS, _UPRIGHT_LAMPS = (0.30, 0.10, 0.26, 0.10, 0.20, 0.04), (0.0, 0.55, 0.0, 0.20, 0.25, 0.0)
-"""How common each family of tail lamps is."""
 PLATES = ("european", "yellow", "blue", "short")
 """Families of number plates: white with a blue strip; yellow; blue with white letters; short and white."""
 
@@ -96,10 +95,12 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
         rails = int(rng.choice(3, p=[0.58, 0.24, 0.18]))
     designs = VAN_DESIGNS if shape.kind == "van" else CAR_DESIGNS
     shares = np.array([design.share for design in designs])
+    tails = VAN_TAILS if shape.kind == "van" else CAR_TAILS
+    tail_shares = np.array([design.upright if upright else design.wide for design in tails])
     family = int(rng.choice(len(PLATES), p=[0.55, 0.15, 0.15, 0.15]))
     return Style(
         front=designs[int(rng.choice(len(designs), p=shares / shares.sum()))],
-        rear_lamp=int(rng.choice(6, p=_UPRIGHT_LAMPS if upright else _WIDE_LAMPS)),
+        tail=tails[int(rng.choice(len(tails), p=tail_shares / tail_shares.sum()))],
         cladding=rng.uniform(0.12, 0.2) if rugged else rng.uniform(0.0, 0.07),
         dark_bumpers=bool(rng.random() < (0.5 if shape.kind in ("van", "lorry", "articulated") else 0.06)),
         chrome=bool(rng.random() < 0.14),
@@ -116,7 +117,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
 
 _INK: Colour = (0.05, 0.05, 0.048)
 _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
-    ((0.62, 0.62, 0.60), _INK, True), ((0.52, 0.39, 0.10), _INK, True),
+    ((0.62, 0.62, 0.60), _INK, True), ((0.43, 0.32, 0.075), _INK, True),
     ((0.15, 0.24, 0.33), (0.56, 0.58, 0.59), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
 """Ground, letters, and whether a blue strip stands at the left."""

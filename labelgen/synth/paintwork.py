@@ -42,7 +42,8 @@ def draw_skin(
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
         skin.fill(chart, paint, PAINT)
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
-    skin.fill(Chart.MIRROR, dim(paint, 0.85) if rng.random() < 0.85 else TRIM, PAINT)
+    heavy = shape.cargo is not None or shape.kind == "bus"
+    skin.fill(Chart.MIRROR, dim(paint, 0.85) if rng.random() < (0.15 if heavy else 0.85) else TRIM, PAINT)
     _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_wheels(skin, shape, rng)

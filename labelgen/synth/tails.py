@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from labelgen.synth.bodies import cabin_edge, setback, shell_end
 from labelgen.synth.cabin import behind_rear_screen, on_screen
@@ -13,23 +16,6 @@ from labelgen.synth.shapes import Shape
 from labelgen.synth.skin import Colour, Skin, dim, rounded
 
 __all__ = ["draw_rear"]
-
-# Tail lamps, one half: (share of the half-width, share of the lamp's height below its top).
-_TAIL_LAMPS: tuple[tuple[tuple[float, float], ...], ...] = (
-    ((1.0, -0.05), (0.66, 0.05), (0.58, 0.35), (0.70, 0.85), (1.0, 1.0)),
-    ((1.0, -0.7), (0.90, -0.75), (0.80, -0.3), (0.80, 0.75), (0.88, 1.0), (1.0, 1.0)),
-    ((1.0, -0.1), (0.52, 0.15), (0.44, 0.45), (0.60, 0.70), (1.0, 0.95)),
-    ((1.0, -0.9), (0.90, -0.95), (0.86, -0.1), (0.56, 0.25), (0.60, 0.75), (1.0, 1.0)),
-    ((1.0, 0.0), (0.70, 0.0), (0.68, 0.95), (1.0, 1.0)),
-    ((1.0, 0.1), (0.05, 0.3), (0.05, 0.55), (1.0, 0.8)),
-)
-_ACROSS = 5
-_VAN_LAMPS = (
-    ((1.0, -0.5), (0.90, -0.5), (0.885, 0.6), (0.90, 1.2), (1.0, 1.2)),
-    ((1.0, -0.1), (0.84, -0.1), (0.84, 0.9), (1.0, 0.9)),
-)
-"""Those of vans stand upright at the doors' sides."""
-
 
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
@@ -187,45 +173,50 @@ def _tail_lamps(
     braking: bool,
 ) -> None:  # fmt: skip
     """A lamp is a bowl behind bowed glass: red above, a pale part, its foot in shadow, the sky on its upper edge."""
-    half, wide = shape.width / 2, style.rear_lamp == _ACROSS and shape.kind != "van"
-    family = _VAN_LAMPS[style.rear_lamp % 2] if shape.kind == "van" else _TAIL_LAMPS[style.rear_lamp]
+    half, design = shape.width / 2, style.tail
     bright = rng.uniform(0.7, 1.3)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
-    red: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
-    clear: Colour = dim((0.20, 0.13, 0.12), rng.uniform(0.6, 1.2))
-    pale, mirrored_sky = rng.random(), rng.uniform(0.0, 0.15)
-    band = rng.uniform(0.45, 0.7)
+    lit: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
+    core: Colour = (0.62, 0.085, 0.10) if braking else dim(lit, 1.5)
+    # Of one colour all over when unlit, or in fields.
+    smoky = rng.random() < 0.25
+    pale: Colour = dim((0.40, 0.36, 0.35), rng.uniform(0.5, 1.2)) if not smoky else dim(unlit, 0.5)
+    orange: Colour = dim((0.26, 0.085, 0.012), rng.uniform(0.7, 1.2)) if rng.random() < 0.45 else dim(pale, 0.8)
+    mirrored_sky, deep = rng.uniform(0.0, 0.15), rng.uniform(0.4, 0.8)
+
+    def at(points: Any, side: int) -> NDArray[np.float64]:
+        return np.array(mirrored([(share * half, top - down * tall) for share, down in points], side))
+
     for side in (-1, 1):
-        ring = np.array(mirrored([(share * half, top - down * tall) for share, down in family], side))
-        smooth, middle = rounded(ring, 0.16), ring.mean(axis=0)
+        ring = at(design.outline, side)
+        smooth, middle = rounded(ring, 0.13), ring.mean(axis=0)
         inner = middle + 0.92 * (smooth - middle)
         skin.polygon(Chart.REAR, smooth, dim(unlit, 0.2), LAMP)
         skin.polygon(Chart.REAR, inner, unlit, LAMP)
-        skin.fade(Chart.REAR, inner, dim(unlit, 0.15), (0.0, rng.uniform(0.4, 0.8)))
-        heart = (
-            np.array([side * 0.86 * half, middle[1]]) if wide else middle + np.array([side * 0.05 * half, 0.12 * tall])
-        )
-        glow = rounded(heart + (0.16 if wide else 0.5) * (ring - middle), 0.1)
+        skin.fade(Chart.REAR, inner, dim(unlit, 0.15), (0.0, deep))
+        for field, colour in ((design.clear, pale), (design.amber, orange)):
+            if field:
+                skin.polygon(Chart.REAR, rounded(at(field, side), 0.08), colour, LAMP)
+        for y, down, radius in design.bowls:
+            centre = at([(y, down)], side)[0]
+            skin.circle(Chart.REAR, centre.tolist(), radius, dim(unlit, 0.4), LAMP)
+            skin.circle(Chart.REAR, centre.tolist(), 0.78 * radius, dim(unlit, 1.7), LAMP)
+            skin.circle(Chart.REAR, (centre + [0, 0.3 * radius]).tolist(), 0.3 * radius, (0.5, 0.3, 0.3), LAMP)
+        for strip in design.strips:
+            skin.line(Chart.REAR, at(strip, side), dim(unlit, 1.9), LAMP, 0.018)
         if lamps or braking:
-            skin.polygon(Chart.REAR, glow, red, LIT)
-            core: Colour = (0.62, 0.085, 0.10) if braking else dim(red, 1.5)
+            heart = middle + np.array([side * 0.05 * half, 0.12 * tall])
+            glow = rounded(heart + 0.5 * (ring - middle), 0.1)
+            skin.polygon(Chart.REAR, glow, lit, LIT)
             skin.polygon(Chart.REAR, heart + 0.6 * (glow - heart), core, LIT)
-        else:
-            skin.polygon(Chart.REAR, glow, dim(unlit, 1.5), LAMP)
-        if not wide and pale < 0.75:  # reversing lamp and indicator
-            inner_end = float(np.abs(ring[:, 0]).min()) + 0.02
-            z0 = top - band * tall - 0.1 * tall
-            ends = (inner_end + 0.03, 0.84 * half) if pale < 0.4 else (0.78 * half, 0.93 * half)
-            strip = [(ends[0], z0), (ends[1], z0), (ends[1] - 0.01, z0 + 0.2 * tall), (ends[0] + 0.01, z0 + 0.2 * tall)]
-            skin.polygon(Chart.REAR, rounded(mirrored(strip, side), 0.1), clear, LAMP)
         skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
         spark = middle + np.array([side * 0.04 * half, 0.28 * tall])
-        skin.circle(Chart.REAR, spark.tolist(), 0.022, (0.55, 0.36, 0.36), LAMP)
+        skin.circle(Chart.REAR, spark.tolist(), 0.018, (0.55, 0.36, 0.36), LAMP)
         # A dark gap parts it from the paint.
-        skin.line(Chart.REAR, np.concatenate([smooth, smooth[:1]]), dim(unlit, 0.12), LAMP, 0.018)
+        skin.line(Chart.REAR, np.concatenate([smooth, smooth[:1]]), dim(unlit, 0.12), LAMP, 0.012)
         skin.bow(Chart.REAR, smooth, (0.8, 1.0), (0.0, 0.06))
     end = shell_end(shape)
     reach = end + float(setback(shape, end, 0.95 * half)) - 0.16
-    above = top + max(-min(down for _, down in family), 0.0) * tall
+    above = top + max(-min(down for _, down in design.outline), 0.0) * tall
     seen = [(end, top - 0.85 * tall), (reach + 0.05, top - 0.7 * tall), (reach, above - 0.04), (end, above)]
     skin.polygon(Chart.SIDE, seen, dim(unlit, 0.8), LAMP)
