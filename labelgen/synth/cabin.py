@@ -55,7 +55,7 @@ def _grey(rng: np.random.Generator, low: float, high: float, tint: float = 1.0) 
 
 def _light_beyond(skin: Skin, chart: Chart, placed: OnScreen, level: float, heights: tuple[float, float]) -> None:
     """Windows at the cabin's far end, between its pillars, and those of the doors at its sides."""
-    tint: Colour = (0.82 * level, level, level)
+    tint: Colour = (0.82 * level, level, 0.94 * level)
     low, high = heights
     skin.polygon(chart, placed([(-0.56, low), (0.56, low), (0.5, high), (-0.5, high)]), tint, GLASS)
     for side in (-1, 1):
@@ -132,7 +132,8 @@ def behind_rear_screen(
     low = rng.uniform(0.36, 0.48)
     _light_beyond(skin, chart, placed, glass[1] + rng.uniform(0.1, 0.26) * clear, (low, rng.uniform(0.76, 0.88)))
     lit = 0.25 + 0.75 * clear
-    seat = dim(_grey(rng, 0.008, 0.09), lit)
+    # Covers of seats and what lies on shelves are pale in some.
+    seat = dim(_grey(rng, 0.008, 0.30, 1.05), lit)
     for at in (-0.42, 0.42):  # in front
         skin.polygon(chart, placed(_blob(at, low + 0.05, 0.12, 0.17)), dim(seat, 0.8), GLASS)
     if rng.random() < 0.7:

@@ -31,6 +31,7 @@ __all__ = [
     "pane",
     "plate",
     "sample_style",
+    "veil",
 ]
 
 BLACK: Colour = (0.010, 0.010, 0.011)
@@ -40,7 +41,7 @@ SILL = 0.05
 CHROME_TONE: Colour = (0.50, 0.50, 0.51)
 GLOW: Colour = (1.0, 0.97, 0.88)
 """Of head lamps that are on."""
-SEAM = 0.3
+SEAM = 0.5
 """How bright a gap between panels is, as a share of the paint."""
 
 
@@ -107,7 +108,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
         glass=(0.85 * dark, 1.15 * dark, 1.15 * dark),
         rear_glass=(behind, behind * 1.1, behind * 1.1),
         clear=clear * (0.4 if private else 1.0),
-        rear_clear=0.2 * clear if private else clear,
+        rear_clear=(0.2 if private else rng.uniform(0.35, 1.0)) * clear,
         dark_roof=bool(rng.random() < 0.05) and shape.kind not in ("van", "lorry", "articulated", "bus"),
         rails=rails,
         plate=family if plates is None else PLATES.index(plates),
@@ -175,6 +176,15 @@ def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 
     return np.asarray(inner)
 
 
+def veil(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
+    """The dashboard as a windscreen mirrors it, a pale veil that is strongest at its foot; `ring` as for `gleam`."""
+    points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.14)
+    tone: Colour = (0.82 * level, level, 0.98 * level)
+    shares = (rng.uniform(0.0, 0.3), rng.uniform(0.1, 0.7))  # at the head, at the foot
+    # Seen from above, noses lie at the drawing's left.
+    skin.fade(chart, points, tone, shares[::-1] if chart is Chart.TOP else shares, level=chart is Chart.TOP)
+
+
 def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
     """What glass mirrors over what lies behind it: sky near its upper edge, less and less below, softly.
 
@@ -195,7 +205,7 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     """Tyres, rims in one of several families, hubs."""
     skin.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
     family = int(rng.integers(4))
-    bright = float(rng.choice([0.03, 0.10, 0.20, 0.32], p=[0.2, 0.3, 0.35, 0.15]))
+    bright = float(rng.choice([0.04, 0.16, 0.30, 0.42], p=[0.15, 0.25, 0.35, 0.25]))
     rim: Colour = (bright, bright, bright * 1.03)
     spokes = int(rng.integers(5, 11))
     heavy = shape.wheel > 0.42

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labelgen.synth.fittings import BLACK, TRIM, Style, gleam, pane, plate
+from labelgen.synth.lettering import TRADES, company_name, ink, letter_cargo, telephone
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
@@ -13,13 +14,6 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_bus", "draw_bus_rear", "draw_cargo"]
 
 _STEEL: Colour = (0.26, 0.26, 0.27)
-
-
-def _ink(rng: np.random.Generator) -> Colour:
-    """Letters and bands: some colour, faded by sun and dust."""
-    bright = rng.uniform(0.01, 0.6, 3) ** 1.3
-    red, green, blue = (0.4 * bright + 0.6 * bright.mean()).tolist()
-    return red, green, blue
 
 
 def draw_cargo(
@@ -51,7 +45,7 @@ def draw_cargo(
         else:
             skin.groove(Chart.SIDE, [(d, low), (d, high)])
             skin.line(Chart.SIDE, [(d, low), (d, high)], dim(colour, 0.8), PAINT)
-    _lettering(skin, shape, start, rng)
+    letter_cargo(skin, shape, start, rng)
     for edge in (low + 0.04, high - 0.04):
         skin.line(Chart.SIDE, [(start, edge), (length, edge)], _STEEL, MATTE, 0.06)
         skin.line(Chart.REAR, [(-half, edge), (half, edge)], _STEEL, MATTE, 0.08)
@@ -108,47 +102,6 @@ def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
         skin.shadow(Chart.SIDE, [(d, high), (d + rng.uniform(-0.05, 0.05), high - long)], rng.uniform(0.03, 0.12), 0.08)
         y = rng.uniform(-half, half)
         skin.shadow(Chart.REAR, [(y, high), (y, high - long)], rng.uniform(0.03, 0.12), 0.08)
-
-
-def _lettering(skin: Skin, shape: Shape, start: float, rng: np.random.Generator) -> None:
-    """A company's name and number, on the sides and the back."""
-    assert shape.cargo is not None
-    if rng.random() < 0.1:
-        return
-    _, low, high = shape.cargo
-    tall, long = high - low, shape.length - start
-    ink, left = _ink(rng), start + rng.uniform(0.08, 0.3) * long
-    if rng.random() < 0.4:
-        band = (start, low + 0.1), (shape.length, low + rng.uniform(0.25, 0.5) * tall)
-        skin.rectangle(Chart.SIDE, *band, _ink(rng), PAINT)
-    base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.28) * tall
-    name = _name(rng)
-    size = min(size, 0.9 * (shape.length - 0.3 - left) / max(len(name), 1))
-    skin.text(Chart.SIDE, (left, base), name, size, ink, PAINT)
-    if rng.random() < 0.8:
-        half = shape.width / 2
-        if rng.random() < 0.5:
-            name = f"{name} {rng.choice(_TRADES)}"
-        size = min(rng.uniform(0.16, 0.34), 1.7 * half / len(name))
-        at, foot = -0.5 * size * len(name), low + rng.uniform(0.45, 0.75) * tall
-        skin.text(Chart.REAR, (max(at, -0.9 * half), foot), name, size, ink, PAINT)
-        if rng.random() < 0.6:
-            skin.text(Chart.REAR, (-0.7 * half, foot - 0.5 * size - 0.12), _small_print(rng), 0.09, ink, PAINT)
-
-
-# Both sides of a vehicle show one drawing, on the right mirrored: these letters read either way.
-_SYLLABLES = ("MA", "TO", "VI", "HA", "XI", "YO", "TU", "WA", "AM", "OT", "IVA", "OHM")
-_TRADES = ("TRANSPORT", "CARGO", "EXPRESS", "LOGISTIK", "FREIGHT", "FRESH", "SPEDITION", "MOVERS", "PAPIER", "BAU")
-
-
-def _name(rng: np.random.Generator) -> str:
-    """What a company might be called."""
-    return "".join(rng.choice(_SYLLABLES, int(rng.integers(2, 4))))
-
-
-def _small_print(rng: np.random.Generator) -> str:
-    """A telephone number."""
-    return " ".join("".join(rng.choice(list("0123456789"), 3)) for _ in range(3))
 
 
 def _back_doors(skin: Skin, half: float, low: float, high: float, seam: Colour) -> None:
@@ -208,7 +161,7 @@ def draw_bus(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.rand
 
 def _faded_ink(paint: Colour, rng: np.random.Generator) -> Colour:
     """A colour for bands and letters that is not far from a bus's own."""
-    red, green, blue = (0.35 * np.array(_ink(rng)) + rng.uniform(0.25, 0.6) * np.array(paint)).tolist()
+    red, green, blue = (0.35 * np.array(ink(rng)) + rng.uniform(0.25, 0.6) * np.array(paint)).tolist()
     return red, green, blue
 
 
@@ -282,18 +235,18 @@ def _advertisement(skin: Skin, place: tuple[float, float, float], rng: np.random
     half, low, high = place
     if high - low < 0.3:
         return
-    skin.rectangle(Chart.REAR, (-half, low), (half, high), _ink(rng), PAINT)
+    skin.rectangle(Chart.REAR, (-half, low), (half, high), ink(rng), PAINT)
     y, z = rng.uniform(-0.6, 0.6) * half, rng.uniform(low, high)
     reach = min(high - z, z - low) + 0.1
     ring = np.stack(
         [y + 0.5 * half * np.cos(np.arange(12) * np.pi / 6), z + reach * np.sin(np.arange(12) * np.pi / 6)], 1
     )
-    skin.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), _ink(rng), PAINT)
+    skin.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), ink(rng), PAINT)
     size = rng.uniform(0.07, 0.13)
     for line in np.arange(low + 0.06, high - size, 1.6 * size).tolist():
-        words = f"{_name(rng)} {rng.choice(_TRADES)}" if rng.random() < 0.6 else _small_print(rng)
+        words = f"{company_name(rng)} {rng.choice(TRADES)}" if rng.random() < 0.6 else telephone(rng)
         small = min(size, 1.6 * half / len(words))
-        skin.text(Chart.REAR, (-0.85 * half, line), words, small, _ink(rng), PAINT)
+        skin.text(Chart.REAR, (-0.85 * half, line), words, small, ink(rng), PAINT)
 
 
 def draw_bus_rear(

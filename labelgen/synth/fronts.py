@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labelgen.synth.bodies import END_M, cabin_edge, face_edge, setback
 from labelgen.synth.cabin import behind_windscreen, on_screen
-from labelgen.synth.fittings import CHROME_TONE, GLOW, SILL, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.fittings import CHROME_TONE, GLOW, SEAM, SILL, TRIM, Style, gleam, mirrored, pane, plate, veil
 from labelgen.synth.front_designs import FrontDesign, Opening
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import LAMP, LIT, MATTE, PAINT
@@ -21,6 +21,7 @@ __all__ = ["draw_front"]
 
 _REFLECTOR: Colour = (0.55, 0.56, 0.57)
 Points = Sequence[tuple[float, float]]
+
 
 @dataclass(frozen=True)
 class _Face:
@@ -48,14 +49,17 @@ def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.rectangle(Chart.FRONT, (-half, 0), (half, face.z(0.56)), TRIM, MATTE)
     _sheet_metal(skin, face, rng)
     skin.polygon(
-        Chart.FRONT, [(-half, 0), (half, 0), (half, sill), (0.8 * half, dam), (-0.8 * half, dam), (-half, sill)], TRIM, MATTE
+        Chart.FRONT,
+        [(-half, 0), (half, 0), (half, sill), (0.8 * half, dam), (-0.8 * half, dam), (-half, sill)],
+        TRIM,
+        MATTE,
     )
     _windscreen(skin, shape, style, rng)
     _mouths(skin, face, design, paint, rng)
     _head_lamps(skin, shape, face, design, float(np.mean(paint)), rng, lamps)
     edge = face.at([(-0.62, 0.97), (-0.3, 0.995), (0.3, 0.995), (0.62, 0.97)])
-    skin.line(Chart.FRONT, edge, dim(paint, 0.4), PAINT, 0.012)
-    skin.shadow(Chart.FRONT, edge, 0.3)
+    skin.line(Chart.FRONT, edge, dim(paint, SEAM), PAINT, 0.012)
+    skin.shadow(Chart.FRONT, edge, 0.15)
     plate(skin, Chart.FRONT, (0, face.z(design.plate + rng.uniform(-0.03, 0.03))), style.plate, rng)
 
 
@@ -82,6 +86,7 @@ def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator
     placed = on_screen([(0.95 * y, foot + 0.03) for y in (-low, low)], [(y, head - 0.03) for y in (-high, high)])
     behind_windscreen(skin, Chart.FRONT, placed, style.glass, style.clear, rng)
     gleam(skin, Chart.FRONT, inner, rng, rng.uniform(0.4, 0.9))
+    veil(skin, Chart.FRONT, inner, rng)
 
 
 def _mouths(skin: Skin, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
@@ -110,9 +115,7 @@ def _mouths(skin: Skin, face: _Face, design: FrontDesign, paint: Colour, rng: np
     _badge(skin, face, design, bright, rng)
 
 
-def _opening(
-    skin: Skin, ring: NDArray[np.float64], opening: Opening, dark: Colour, bars: Colour, rim: Colour
-) -> None:
+def _opening(skin: Skin, ring: NDArray[np.float64], opening: Opening, dark: Colour, bars: Colour, rim: Colour) -> None:
     smooth = rounded(ring, 0.08)
     closed = np.concatenate([smooth, smooth[:1]])
     skin.polygon(Chart.FRONT, smooth, dark, MATTE)
@@ -171,7 +174,13 @@ def _badge(skin: Skin, face: _Face, design: FrontDesign, bright: Colour, rng: np
 
 
 def _head_lamps(
-    skin: Skin, shape: Shape, face: _Face, design: FrontDesign, paint_level: float, rng: np.random.Generator, lamps: bool
+    skin: Skin,
+    shape: Shape,
+    face: _Face,
+    design: FrontDesign,
+    paint_level: float,
+    rng: np.random.Generator,
+    lamps: bool,
 ) -> None:
     """Behind clear glass: a housing, black or silver, with bowls, strips and indicator; a dark gap around."""
     black = rng.random() < design.dark
@@ -195,7 +204,9 @@ def _head_lamps(
             centre = face.at([(y, t)], side)[0]
             skin.circle(Chart.FRONT, centre.tolist(), radius, silver, LAMP)
             skin.circle(Chart.FRONT, centre.tolist(), 0.74 * radius, dim(silver, 0.16 if black else 0.45), LAMP)
-            skin.circle(Chart.FRONT, (centre + [0, 0.25 * radius]).tolist(), 0.36 * radius, dim(silver, 1.5), LAMP)
+            skin.circle(
+                Chart.FRONT, (centre + np.array([0, 0.25 * radius])).tolist(), 0.36 * radius, dim(silver, 1.5), LAMP
+            )
             if lamps and k == 0:
                 skin.circle(Chart.FRONT, centre.tolist(), 1.05 * radius, GLOW, LIT)
         for strip in design.strips:
@@ -208,9 +219,7 @@ def _head_lamps(
         _wing_part(skin, shape, face, side, design, housing)
 
 
-def _wing_part(
-    skin: Skin, shape: Shape, face: _Face, side: int, design: FrontDesign, housing: Colour
-) -> None:
+def _wing_part(skin: Skin, shape: Shape, face: _Face, side: int, design: FrontDesign, housing: Colour) -> None:
     """What of a head lamp lies on the wing, seen from above and from the side."""
     inner = min(y for y, t in design.lamp if t > 0.9)
     ys = np.array([0.5 * inner + 0.5, 0.99, 0.97, 0.90]) * face.half
@@ -224,6 +233,11 @@ def _wing_part(
         start = float(setback(shape, 0.0, 0.9 * face.half))
         low, high = min(t for y, t in design.lamp if y > 0.85), max(t for _, t in design.lamp)
         tip = start + 0.16 + design.sweep
-        ring = [(0, face.z(low)), (0, face.z(high) + 0.02), (tip, face.z(high) + 0.03), (start + 0.14, face.z(low) + 0.03)]
+        ring = [
+            (0, face.z(low)),
+            (0, face.z(high) + 0.02),
+            (tip, face.z(high) + 0.03),
+            (start + 0.14, face.z(low) + 0.03),
+        ]
         skin.polygon(Chart.SIDE, ring, dim(housing, 0.9), LAMP)
         skin.line(Chart.SIDE, [*ring, ring[0]], (0.012, 0.012, 0.013), LAMP, 0.012)

@@ -11,9 +11,22 @@ import numpy as np
 from labelgen.synth.bodies import cabin_edge, face_edge, setback, shell_end, top_line
 from labelgen.synth.cabin import OnScreen, behind_rear_screen, behind_windscreen, on_screen
 from labelgen.synth.cabs import draw_bus_front, draw_cab_front
-from labelgen.synth.fittings import BLACK, CHROME_TONE, SEAM, SILL, TRIM, Style, draw_wheels, gleam, pane, sample_style
+from labelgen.synth.fittings import (
+    BLACK,
+    CHROME_TONE,
+    SEAM,
+    SILL,
+    TRIM,
+    Style,
+    draw_wheels,
+    gleam,
+    pane,
+    sample_style,
+    veil,
+)
 from labelgen.synth.freight import draw_bus, draw_bus_rear, draw_cargo
 from labelgen.synth.fronts import draw_front
+from labelgen.synth.lettering import letter_van
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, MATTE, PAINT
 from labelgen.synth.shapes import Shape
@@ -57,6 +70,8 @@ def draw_skin(
     else:
         draw_front(skin, shape, paint, style, rng, lamps)
         draw_rear(skin, shape, paint, style, rng, lamps)
+        if shape.kind == "van" and rng.random() < 0.45:
+            letter_van(skin, shape, shape.roof_front[0] + 1.0, rng)
     return skin
 
 
@@ -169,10 +184,10 @@ def _doors(
     for k, p in enumerate(gaps):
         bend = -0.12 if k == len(gaps) - 1 and shape.kind != "van" else 0.0
         line = [(p, sill), (p, sill - 0.35), (p + bend, foot)]
-        skin.line(Chart.SIDE, line, seam, PAINT, 0.016)
+        skin.line(Chart.SIDE, line, seam, PAINT, 0.012)
         skin.groove(Chart.SIDE, line)
-        skin.shadow(Chart.SIDE, line, 0.3, 0.04)
-    skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT, 0.016)
+        skin.shadow(Chart.SIDE, line, 0.15, 0.04)
+    skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT, 0.012)
     skin.groove(Chart.SIDE, [(low, foot), (high, foot)])
     chrome = rng.random() < 0.1
     for p in [*pillars[:2], high - 0.1]:
@@ -205,6 +220,7 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
     ring, placed = _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
     behind_windscreen(skin, Chart.TOP, placed, style.glass, style.clear, rng)
     gleam(skin, Chart.TOP, ring, rng)
+    veil(skin, Chart.TOP, ring, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
         behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
@@ -222,8 +238,8 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
             tone = BLACK if style.dark_roof else dim(paint, 0.75)
             skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], tone, PAINT)
             skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
-    if sunroof < 0.03 and shape.kind not in ("van", "bus") and shape.cargo is None:
-        long = 0.75 if sunroof < 0.02 else roof[1] - roof[0] - 0.3
+    if sunroof < 0.12 and shape.kind not in ("van", "bus") and shape.cargo is None:
+        long = 0.75 if sunroof < 0.09 else roof[1] - roof[0] - 0.3
         long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
         gleam(skin, Chart.TOP, pane(skin, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)
@@ -292,14 +308,14 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         d, y = np.array(points).T
         return np.stack([d + setback(shape, d, y * half), y * half], axis=1)
 
+    inner, rise = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
     for side in (-1, 1):
         gap = bowed([(start, 0.62 * side), (start + 0.2, 0.70 * side), (back, 0.78 * side)])
         skin.line(Chart.TOP, gap, seam, PAINT)
         skin.groove(Chart.TOP, gap)
-        skin.shadow(Chart.TOP, gap, 0.15, 0.04)
-        inner = rng.uniform(0.3, 0.6)
+        skin.shadow(Chart.TOP, gap, 0.08, 0.04)
         crease = bowed([(start, side * 0.7 * inner), (back, side * inner)])
-        skin.groove(Chart.TOP, crease, -0.003, 0.09)
+        skin.groove(Chart.TOP, crease, -rise, 0.09)
         wiper = bowed([(back + 0.04, side * 0.1), (back + 0.07, side * 0.35), (back + 0.10, side * 0.6)])
         skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     across = np.linspace(-1, 1, 9).tolist()

@@ -17,10 +17,11 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 
 __all__ = ["draw_rear"]
 
+
 def draw_rear(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
     """Rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, SEAM)
-    braking = bool(rng.random() < 0.2)
+    braking = bool(rng.random() < 0.12)
     foot = shape.clearance + 0.09 + style.cladding
     van = shape.kind == "van"
     top, tall = (1.12, 0.34) if van else (shape.tail - 0.02, rng.uniform(0.19, 0.28))
@@ -177,11 +178,11 @@ def _tail_lamps(
     bright = rng.uniform(0.7, 1.3)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     lit: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
-    core: Colour = (0.62, 0.085, 0.10) if braking else dim(lit, 1.5)
+    core: Colour = (0.50, 0.06, 0.075) if braking else dim(lit, 1.5)
     # Of one colour all over when unlit, or in fields.
     smoky = rng.random() < 0.25
-    pale: Colour = dim((0.40, 0.36, 0.35), rng.uniform(0.5, 1.2)) if not smoky else dim(unlit, 0.5)
-    orange: Colour = dim((0.26, 0.085, 0.012), rng.uniform(0.7, 1.2)) if rng.random() < 0.45 else dim(pale, 0.8)
+    pale: Colour = dim((0.30, 0.25, 0.24), rng.uniform(0.5, 1.2)) if not smoky else dim(unlit, 0.5)
+    orange: Colour = dim((0.26, 0.085, 0.012), rng.uniform(0.7, 1.2)) if rng.random() < 0.3 else dim(unlit, 0.6)
     mirrored_sky, deep = rng.uniform(0.0, 0.15), rng.uniform(0.4, 0.8)
 
     def at(points: Any, side: int) -> NDArray[np.float64]:
@@ -201,7 +202,9 @@ def _tail_lamps(
             centre = at([(y, down)], side)[0]
             skin.circle(Chart.REAR, centre.tolist(), radius, dim(unlit, 0.4), LAMP)
             skin.circle(Chart.REAR, centre.tolist(), 0.78 * radius, dim(unlit, 1.7), LAMP)
-            skin.circle(Chart.REAR, (centre + [0, 0.3 * radius]).tolist(), 0.3 * radius, (0.5, 0.3, 0.3), LAMP)
+            skin.circle(
+                Chart.REAR, (centre + np.array([0, 0.3 * radius])).tolist(), 0.3 * radius, dim(unlit, 2.2), LAMP
+            )
         for strip in design.strips:
             skin.line(Chart.REAR, at(strip, side), dim(unlit, 1.9), LAMP, 0.018)
         if lamps or braking:
@@ -211,7 +214,7 @@ def _tail_lamps(
             skin.polygon(Chart.REAR, heart + 0.6 * (glow - heart), core, LIT)
         skin.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
         spark = middle + np.array([side * 0.04 * half, 0.28 * tall])
-        skin.circle(Chart.REAR, spark.tolist(), 0.018, (0.55, 0.36, 0.36), LAMP)
+        skin.circle(Chart.REAR, spark.tolist(), 0.018, (0.45, 0.24, 0.24), LAMP)
         # A dark gap parts it from the paint.
         skin.line(Chart.REAR, np.concatenate([smooth, smooth[:1]]), dim(unlit, 0.12), LAMP, 0.012)
         skin.bow(Chart.REAR, smooth, (0.8, 1.0), (0.0, 0.06))

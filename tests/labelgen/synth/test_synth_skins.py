@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapely.geometry import Point, Polygon
 
+from labelgen.synth.bodies import body_mesh
 from labelgen.synth.fittings import sample_style
+from labelgen.synth.front_designs import CAR_DESIGNS, VAN_DESIGNS, FrontDesign
 from labelgen.synth.light import Weather, make_light
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import GLASS, LAMP, LIT, PAINT, PLATE
@@ -13,6 +16,7 @@ from labelgen.synth.render import Placed, Renderer
 from labelgen.synth.scenes import look_at_road
 from labelgen.synth.shapes import BODY_TYPES
 from labelgen.synth.skin import Skin
+from labelgen.synth.tail_designs import CAR_TAILS, VAN_TAILS, TailDesign
 from labelgen.synth.vehicles import make_vehicle
 
 
@@ -33,8 +37,56 @@ def test_the_same_generator_paints_the_same_and_others_differ() -> None:
 
 def test_styles_come_in_families() -> None:
     styles = [sample_style(BODY_TYPES["suv"], np.random.default_rng(seed)) for seed in range(200)]
-    for name, count in (("grille", 7), ("lamp", 6), ("rear_lamp", 6), ("plate", 4), ("rails", 3)):
+    for name, count in (("plate", 4), ("rails", 3)):
         assert {getattr(s, name) for s in styles} == set(range(count))
+    assert {s.front.name for s in styles} == {design.name for design in CAR_DESIGNS}
+    assert {s.tail.outline for s in styles} == {design.outline for design in CAR_TAILS}
+
+
+@pytest.mark.parametrize("design", CAR_DESIGNS + VAN_DESIGNS, ids=lambda design: design.name)
+def test_fronts_lie_within_the_face(design: FrontDesign) -> None:
+    """And lamps do not run into grilles, or beyond the bonnet's edge by more than a tapering end."""
+    lines = [design.lamp, design.amber, design.hollow, *design.strips, *(o.half for o in design.openings)]
+    lines += [points for points, _ in (*design.bright, *design.painted)]
+    for y, t in (point for line in lines for point in line):
+        assert 0 <= y <= 1
+        assert 0 <= t <= 1.2
+    lamp = Polygon(design.lamp)
+    assert lamp.is_valid
+    for opening in design.openings:
+        assert Polygon(opening.half).is_valid
+        assert Polygon(opening.half).intersection(lamp).area < 0.03 * lamp.area
+    for y, t, radius in design.bowls:
+        assert lamp.buffer(0.03).contains(Point(y, t))
+        assert 0.02 < radius < 0.08
+
+
+@pytest.mark.parametrize("design", CAR_TAILS + VAN_TAILS)
+def test_tail_lamps_hold_what_is_in_them(design: TailDesign) -> None:
+    glass = Polygon(design.outline)
+    assert glass.is_valid
+    for field in (design.clear, design.amber):
+        assert not field or glass.buffer(0.03).contains(Polygon(field))
+    for y, down, radius in design.bowls:
+        assert glass.contains(Point(y, down))
+        assert 0.02 < radius < 0.08
+
+
+@pytest.mark.parametrize("kind", ["supermini", "saloon", "suv", "van"])
+def test_lamps_reach_up_to_the_bonnet_in_one_piece(kind: str) -> None:
+    """Where lamps are, near the corners below the bonnet's edge, the body shows the front's drawing alone."""
+    mesh = body_mesh(BODY_TYPES[kind])
+    _, width, _ = np.ptp(mesh.vertices, axis=0)
+    middles = mesh.vertices[mesh.triangles].mean(axis=1)
+    ahead = mesh.vertices[:, 0].max() - middles[:, 0]
+    beside = np.abs(middles[:, 1]) / (width / 2)
+    foot, edge = BODY_TYPES[kind].clearance + 0.08, BODY_TYPES[kind].nose - 0.05
+    share = (middles[:, 2] - foot) / (edge - foot)
+    bow = BODY_TYPES[kind].round_nose * beside**2
+    here = (mesh.normals.mean(axis=1)[:, 0] > 0.35) & (share > 0.6) & (share < 0.97) & (beside < 0.85)
+    here &= (ahead - bow < 0.15) & (mesh.charts != Chart.WHEEL) & (mesh.charts != Chart.DARK)
+    assert here.sum() > 20
+    assert set(np.unique(mesh.charts[here]).tolist()) == {Chart.FRONT}
 
 
 def test_words_are_as_tall_and_wide_as_said() -> None:

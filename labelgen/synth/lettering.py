@@ -1,0 +1,75 @@
+"""What companies write on their lorries and vans."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import PAINT
+from labelgen.synth.shapes import Shape
+from labelgen.synth.skin import Colour, Skin
+
+__all__ = ["TRADES", "company_name", "ink", "letter_cargo", "letter_van", "telephone"]
+
+# Both sides of a vehicle show one drawing, on the right mirrored: these letters read either way.
+_SYLLABLES = ("MA", "TO", "VI", "HA", "XI", "YO", "TU", "WA", "AM", "OT", "IVA", "OHM")
+TRADES = ("TRANSPORT", "CARGO", "EXPRESS", "LOGISTIK", "FREIGHT", "FRESH", "SPEDITION", "MOVERS", "PAPIER", "BAU")
+
+
+def company_name(rng: np.random.Generator) -> str:
+    """What a company might be called."""
+    return "".join(rng.choice(_SYLLABLES, int(rng.integers(2, 4))))
+
+
+def telephone(rng: np.random.Generator) -> str:
+    """A telephone number."""
+    return " ".join("".join(rng.choice(list("0123456789"), 3)) for _ in range(3))
+
+
+def ink(rng: np.random.Generator) -> Colour:
+    """Letters and bands: some colour, faded by sun and dust."""
+    bright = rng.uniform(0.01, 0.6, 3) ** 1.3
+    red, green, blue = (0.4 * bright + 0.6 * bright.mean()).tolist()
+    return red, green, blue
+
+
+def letter_cargo(skin: Skin, shape: Shape, start: float, rng: np.random.Generator) -> None:
+    """A company's name and number, on the sides and the back."""
+    assert shape.cargo is not None
+    if rng.random() < 0.1:
+        return
+    _, low, high = shape.cargo
+    tall, long = high - low, shape.length - start
+    colour, left = ink(rng), start + rng.uniform(0.08, 0.3) * long
+    if rng.random() < 0.4:
+        band = (start, low + 0.1), (shape.length, low + rng.uniform(0.25, 0.5) * tall)
+        skin.rectangle(Chart.SIDE, *band, ink(rng), PAINT)
+    base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.28) * tall
+    name = company_name(rng)
+    size = min(size, 0.9 * (shape.length - 0.3 - left) / max(len(name), 1))
+    skin.text(Chart.SIDE, (left, base), name, size, colour, PAINT)
+    if rng.random() < 0.8:
+        half = shape.width / 2
+        if rng.random() < 0.5:
+            name = f"{name} {rng.choice(TRADES)}"
+        size = min(rng.uniform(0.16, 0.34), 1.7 * half / len(name))
+        at, foot = -0.5 * size * len(name), low + rng.uniform(0.45, 0.75) * tall
+        skin.text(Chart.REAR, (max(at, -0.9 * half), foot), name, size, colour, PAINT)
+        if rng.random() < 0.6:
+            skin.text(Chart.REAR, (-0.7 * half, foot - 0.5 * size - 0.12), telephone(rng), 0.09, colour, PAINT)
+
+
+def letter_van(skin: Skin, shape: Shape, first: float, rng: np.random.Generator) -> None:
+    """A craftsman's name and number on a van's sides, behind `first` (metres from its front), and on its doors."""
+    colour, name = ink(rng), company_name(rng)
+    room = shape.length - 0.3 - first
+    if rng.random() < 0.3:
+        edge = [(first, 0.5), (first + 0.4, 0.5), (shape.length, shape.belt + 0.1), (shape.length, 0.5)]
+        skin.polygon(Chart.SIDE, edge, ink(rng), PAINT)
+    size = min(rng.uniform(0.2, 0.4), 0.85 * room / len(name))
+    base = shape.belt + rng.uniform(0.1, 0.35)
+    skin.text(Chart.SIDE, (first + 0.08 * room, base), name, size, colour, PAINT)
+    skin.text(Chart.SIDE, (first + 0.1 * room, base - 0.22), telephone(rng), 0.1, colour, PAINT)
+    size = min(size, 0.7 / len(name))
+    skin.text(Chart.REAR, (-0.75, 0.85), name, size, colour, PAINT)
+    skin.text(Chart.REAR, (0.12, 0.80), telephone(rng), 0.07, colour, PAINT)
