@@ -180,10 +180,10 @@ def outside_parts(shape: Shape) -> list[Mesh]:
         # Tall ones on arms beside the screen.
         x, y, z = shape.length / 2 - 0.12, shape.width / 2, shape.cowl[1] + (0.25 if shape.cargo is not None else 1.0)
         housings = [[(x, side * (y + 0.13), z + up) for up in (0.0, 0.1, 0.5, 0.62)] for side in (1, -1)]
-        arms = [[(x - 0.1, side * (y + out), z + 0.55) for out in (-0.4, -0.1, 0.1)] for side in (1, -1)]
+        arms = [[(x - 0.1, side * (y + out), z + 0.55) for out in (-0.12, 0.0, 0.1)] for side in (1, -1)]
         return [
             *(tube_mesh(spine, (0.05, 0.1, 0.1, 0.05), chart=Chart.MIRROR, sides=8) for spine in housings),
-            *(tube_mesh(spine, (0.045, 0.045, 0.045), chart=Chart.MIRROR, sides=6) for spine in arms),
+            *(tube_mesh(spine, (0.03, 0.03, 0.03), chart=Chart.MIRROR, sides=6) for spine in arms),
         ]
     d = shape.cowl[0] + 0.36 * (shape.roof_front[0] - shape.cowl[0]) + 0.06
     x, half, z = shape.length / 2 - d, shape.width / 2, shape.belt + (0.10 if shape.kind == "van" else 0.045)

@@ -145,8 +145,8 @@ def behind_rear_screen(
     shelf = rng.uniform(0.08, 0.2)
     tone = dim(_grey(rng, 0.02, 0.22), lit)
     skin.polygon(chart, placed([(-0.97, 0), (0.97, 0), (0.92, shelf), (-0.92, shelf)]), tone, GLASS)
-    if rng.random() < 0.3 * lit + 0.1:  # luggage, toys, papers
-        level = rng.uniform(0.03, 0.25)
+    for _ in range(int(rng.integers(0, 3))):  # luggage, toys, papers, covers
+        level = rng.uniform(0.05, 0.5) * lit
         thing: Colour = (level, level * rng.uniform(0.7, 1.0), level * rng.uniform(0.5, 1.0))
         at, wide = rng.uniform(-0.6, 0.6), rng.uniform(0.06, 0.18)
         skin.polygon(chart, placed(_blob(at, shelf, wide, rng.uniform(0.05, 0.12), 4)), thing, GLASS)

@@ -43,9 +43,17 @@ def draw_cab_front(
         skin.rectangle(Chart.FRONT, (y - 0.028, top - 0.11), (y + 0.028, top - 0.06), name, LAMP)
     skin.circle(Chart.FRONT, (0, foot + 0.4 * (top - foot)), 0.08, name, LAMP)
     skin.rectangle(Chart.FRONT, (-0.42 * half, 0.40), (0.42 * half, 0.60), dark, MATTE)
+    slot = rounded(
+        [(-0.52 * half, 0.66), (0.52 * half, 0.66), (0.56 * half, bumper - 0.05), (-0.56 * half, bumper - 0.05)]
+    )
+    skin.polygon(Chart.FRONT, slot, dim(dark, 0.6), MATTE)
+    skin.emboss(Chart.FRONT, slot, -0.02)
+    fog = rng.random() < 0.6
     low = rng.uniform(0.50, 0.58)
     for side in (-1, 1):
         _lamp(skin, [(0.60, low), (0.95, low + 0.02), (0.97, low + 0.24), (0.66, low + 0.20)], half, side, lamps)
+        if fog:
+            skin.circle(Chart.FRONT, (side * 0.55 * half, 0.48), 0.055, dim(CHROME_TONE, 0.9), LAMP)
         step = mirrored([(0.70, 0.30), (0.96, 0.30), (0.96, 0.44), (0.74, 0.44)], side)
         skin.polygon(Chart.FRONT, [(y * half, z) for y, z in step], TRIM, MATTE)
         guide = mirrored([(0.86, foot), (1.0, foot), (1.0, cowl), (0.88, cowl - 0.1)], side)
@@ -120,7 +128,9 @@ def _lamp(skin: Skin, points: list[tuple[float, float]], half: float, side: int,
     ring = np.array(mirrored([(y * half, z) for y, z in points], side))
     smooth, middle = rounded(ring, 0.1), ring.mean(axis=0)
     skin.polygon(Chart.FRONT, smooth, TRIM, LAMP)
-    skin.polygon(Chart.FRONT, middle + 0.9 * (smooth - middle), (0.26, 0.262, 0.268), LAMP)
+    skin.polygon(Chart.FRONT, middle + 0.9 * (smooth - middle), (0.05, 0.05, 0.052), LAMP)
+    outer = middle + 0.85 * (smooth - middle)
+    skin.polygon(Chart.FRONT, outer[np.abs(outer[:, 0]) > np.abs(middle[0]) + 0.1], (0.22, 0.10, 0.03), LAMP)
     for along in (-0.09, 0.09):
         spot = (float(middle[0]) + side * along, float(middle[1]))
         skin.circle(Chart.FRONT, spot, 0.065, dim(CHROME_TONE, 1.3), LAMP)

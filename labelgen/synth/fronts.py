@@ -20,6 +20,7 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front"]
 
 _REFLECTOR: Colour = (0.55, 0.56, 0.57)
+_PALE = 0.3
 Points = Sequence[tuple[float, float]]
 
 
@@ -183,8 +184,10 @@ def _head_lamps(
     lamps: bool,
 ) -> None:
     """Behind clear glass: a housing, black or silver, with bowls, strips and indicator; a dark gap around."""
-    black = rng.random() < design.dark
-    level = rng.uniform(0.012, 0.04) if black else rng.uniform(0.28, 0.55)
+    # On pale cars silver ones would hardly show: theirs are darker.
+    pale = paint_level > _PALE
+    black = rng.random() < (0.4 + 0.6 * design.dark if pale else design.dark)
+    level = rng.uniform(0.012, 0.04) if black else rng.uniform(0.08, 0.22) if pale else rng.uniform(0.28, 0.55)
     housing: Colour = (level, 1.01 * level, 1.03 * level)
     silver = dim(_REFLECTOR, rng.uniform(0.9, 1.3))
     day_light, sky = rng.random() < 0.15, rng.uniform(0.06, 0.2)
@@ -198,7 +201,7 @@ def _head_lamps(
             inner = middle + np.array([0.75, 0.85]) * (smooth - middle) - np.array([side * 0.06 * face.half, 0.0])
             skin.fade(Chart.FRONT, inner, (0.03, 0.03, 0.032), (0.35, 0.45))
         if design.amber:
-            tone: Colour = (0.30, 0.115, 0.02) if paint_level < 0.3 or not black else (0.16, 0.06, 0.012)
+            tone: Colour = (0.30, 0.115, 0.02) if not pale or not black else (0.16, 0.06, 0.012)
             skin.polygon(Chart.FRONT, rounded(face.at(design.amber, side), 0.08), tone, LAMP)
         for k, (y, t, radius) in enumerate(design.bowls):
             centre = face.at([(y, t)], side)[0]

@@ -133,7 +133,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
             ring = mirrored([(0.07, z0), (0.78, z0), (0.74, z1), (0.07, z1)], side)
             skin.emboss(Chart.REAR, rounded(ring, 0.08), -0.018, soft=True)
             if kind == 1 and z0 > 1:
-                gleam(skin, Chart.REAR, pane(skin, Chart.REAR, ring, style.rear_glass), rng, 0.5)
+                _door_pane(skin, ring, style, rng)
         edge = mirrored([(0.84, 0.5), (0.84, 2.05), (0.72, 2.2), (0, 2.22)], side)
         skin.groove(Chart.REAR, edge, 0.006)
         skin.shadow(Chart.REAR, edge, 0.25, 0.04)
@@ -146,6 +146,22 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
         for k in range(int(rng.integers(3, 7))):
             at = y + wide * k / 6
             skin.rectangle(Chart.REAR, (at, 1.2), (at + 0.02, 1.235), dim(CHROME_TONE, 0.4), LAMP)
+
+
+def _door_pane(skin: Skin, ring: Any, style: Style, rng: np.random.Generator) -> None:
+    """A window in a van's door: film, a grille or the load behind it, a wiper at some."""
+    inner = pane(skin, Chart.REAR, ring, style.rear_glass, rim=0.92)
+    low, high = inner.min(axis=0), inner.max(axis=0)
+    behind = int(rng.choice(3, p=[0.4, 0.25, 0.35]))
+    if behind == 1:
+        for z in np.arange(low[1] + 0.05, high[1], 0.06).tolist():
+            skin.line(Chart.REAR, [(low[0] + 0.04, z), (high[0] - 0.04, z)], (0.06, 0.06, 0.06), GLASS, 0.014)
+    elif behind == 2:
+        top = low[1] + rng.uniform(0.2, 0.7) * (high[1] - low[1])
+        level = rng.uniform(0.03, 0.2)
+        load = [(low[0] + 0.05, low[1] + 0.03), (high[0] - 0.1, low[1] + 0.03), (high[0] - 0.14, top)]
+        skin.polygon(Chart.REAR, [*load, (low[0] + 0.08, top - 0.06)], (level, 0.9 * level, 0.75 * level), GLASS)
+    skin.fade(Chart.REAR, inner, (0.22, 0.26, 0.27), (rng.uniform(0.2, 0.6), rng.uniform(0.02, 0.2)))
 
 
 def _rear_screen(skin: Skin, shape: Shape, style: Style, braking: bool, rng: np.random.Generator) -> None:
