@@ -22,7 +22,7 @@ _PPM, _PPM_LONG = 96, 56
 """Skin pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
 _LONG_M = 6.5
 # By how many texels, where one that is seen squarely fills a pixel.
-_FORESHORTENED = ((Chart.SIDE, 6), (Chart.TOP, 5))
+_FORESHORTENED = ((Chart.SIDE, 5), (Chart.TOP, 5))
 _FONT, _CAPITAL_PX = cv2.FONT_HERSHEY_DUPLEX, 21.0
 """And how tall its capitals are at scale 1."""
 _FINE_PX, _SOFT_PX, _SOFT_SHADOW_PX = 1.2, 6.0, 5
