@@ -49,7 +49,7 @@ def draw_cargo(
     for edge in (low + 0.04, high - 0.04):
         skin.line(Chart.SIDE, [(start, edge), (length, edge)], _STEEL, MATTE, 0.06)
         skin.line(Chart.REAR, [(-half, edge), (half, edge)], _STEEL, MATTE, 0.08)
-    _back_doors(skin, half, low, high, seam)
+    _back_doors(skin, half, low, high, seam, rng)
     striped = rng.random() < 0.35
     red: Colour = (0.40, 0.03, 0.03) if lamps else (0.22, 0.018, 0.024)
     for side in (-1, 1):
@@ -67,6 +67,10 @@ def draw_cargo(
         for z0, z1 in ((low + 0.1, low + 0.16), (high - 0.16, high - 0.1))[: int(rng.integers(1, 3))]:
             skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.24, 0.04, 0.035), PAINT)
     _grime(skin, shape, rng)
+    worn = rng.uniform(0.08, 0.4)
+    for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT):
+        skin.weather(chart, worn, 0.5 * worn, rng)
+    skin.weather(Chart.TOP, 0.0, worn, rng)
     plate(skin, Chart.REAR, (0, 0.55), style.plate, rng)
 
 
@@ -104,10 +108,12 @@ def _grime(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
         skin.shadow(Chart.REAR, [(y, high), (y, high - long)], rng.uniform(0.03, 0.12), 0.08)
 
 
-def _back_doors(skin: Skin, half: float, low: float, high: float, seam: Colour) -> None:
+def _back_doors(skin: Skin, half: float, low: float, high: float, seam: Colour, rng: np.random.Generator) -> None:
     skin.line(Chart.REAR, [(0, low), (0, high)], seam, PAINT, 0.02)
     skin.groove(Chart.REAR, [(0, low), (0, high)])
-    for y in (-0.65, -0.25, 0.25, 0.65):
+    inner, outer = rng.uniform(0.10, 0.3), rng.uniform(0.5, 0.8)
+    rods = ((-inner, inner), (-outer, -inner, inner, outer), (inner,))[int(rng.integers(3))]
+    for y in rods:
         skin.line(Chart.REAR, [(y * half, low), (y * half, high)], _STEEL, MATTE, 0.03)
         skin.rectangle(Chart.REAR, (y * half - 0.04, low + 0.5), (y * half + 0.10, low + 0.56), TRIM, MATTE)
     for side in (-1, 1):
@@ -156,6 +162,9 @@ def draw_bus(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.rand
             skin.polygon(Chart.SIDE, ring, (0.02, 0.022, 0.023), GLASS)
             skin.fade(Chart.SIDE, ring, (0.12, 0.135, 0.15), (0.5, 0.05))
     _sign(skin, Chart.FRONT, 0.0, shape.height - 0.40, 0.66, rng)
+    worn = rng.uniform(0.05, 0.25)
+    for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT):
+        skin.weather(chart, worn, 0.5 * worn, rng)
     _bus_roof(skin, shape, paint, rng)
 
 
@@ -212,6 +221,7 @@ def _bus_roof(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
     for k in range(int(rng.integers(2, 5))):
         at = start + (k + 0.5) * long / 4
         skin.circle(Chart.TOP, (at, 0.45 * wide * (-1) ** k), 0.2, dim(tone, 0.62), MATTE)
+    skin.weather(Chart.TOP, 0.0, rng.uniform(0.1, 0.3), rng)
     for d in (0.12 * length, 0.85 * length):
         hatch = [(d, -0.36), (d + 0.7, -0.36), (d + 0.7, 0.36), (d, 0.36)]
         skin.polygon(Chart.TOP, rounded(hatch, 0.08), dim(tone, rng.uniform(0.75, 1.1)), MATTE)
@@ -277,7 +287,7 @@ def draw_bus_rear(
     skin.rectangle(Chart.REAR, vent, (-vent[0], vent[1] + 0.28), dim(paint, 0.4), MATTE)
     for z in np.arange(vent[1] + 0.03, vent[1] + 0.27, 0.06).tolist():
         skin.line(Chart.REAR, [(vent[0], z), (-vent[0], z)], dim(paint, 0.22), MATTE, 0.02)
-    if rng.random() < 0.6:  # an advertisement: a picture, and lines of letters on it
+    if rng.random() < 0.8:  # an advertisement: a picture, and lines of letters on it
         _advertisement(skin, (0.7 * half, vent[1] + 0.36, low - 0.16), rng)
     red: Colour = (0.18, 0.017, 0.022)
     for side in (-1, 1):

@@ -187,7 +187,7 @@ def _head_lamps(
     # On pale cars silver ones would hardly show: theirs are darker.
     pale = paint_level > _PALE
     black = rng.random() < (0.4 + 0.6 * design.dark if pale else design.dark)
-    level = rng.uniform(0.012, 0.04) if black else rng.uniform(0.08, 0.22) if pale else rng.uniform(0.28, 0.55)
+    level = rng.uniform(0.012, 0.04) if black else rng.uniform(0.08, 0.22) if pale else rng.uniform(0.16, 0.42)
     housing: Colour = (level, 1.01 * level, 1.03 * level)
     silver = dim(_REFLECTOR, rng.uniform(0.9, 1.3))
     day_light, sky = rng.random() < 0.15, rng.uniform(0.06, 0.2)

@@ -72,6 +72,9 @@ def draw_skin(
         draw_rear(skin, shape, paint, style, rng, lamps)
         if shape.kind == "van" and rng.random() < 0.45:
             letter_van(skin, shape, shape.roof_front[0] + 1.0, rng)
+        dusty = rng.uniform(0.05, 0.25) if shape.kind in ("van", "pickup") else rng.uniform(0.0, 0.08)
+        for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT, Chart.TOP):
+            skin.weather(chart, 0.0 if chart is Chart.TOP else dusty, 0.6 * dusty, rng)
     return skin
 
 

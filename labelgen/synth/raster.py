@@ -184,7 +184,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
         squared = toward_sun * toward_sun * toward_sun
         if sharp:
             wide = toward_sun**120
-            gleam = paint[1] * (5.0 * wide + 300.0 * wide**12)
+            gleam = paint[1] * (5.0 * wide + 110.0 * wide**12)
         # Not all of it along outlines, where a pixel's few samples would make a dotted line of it.
         rim = min(away, 0.7)
         mirrored = (0.05 + 0.95 * rim * rim * rim) * paint[1]
@@ -332,9 +332,9 @@ def shade(
                         )  # fmt: skip
                         last = charts[t]
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
-                    red += min(red1 * exposure, 4.0)
-                    green += min(green1 * exposure, 4.0)
-                    blue += min(blue1 * exposure, 4.0)
+                    red += min(red1 * exposure, 2.2)
+                    green += min(green1 * exposure, 2.2)
+                    blue += min(blue1 * exposure, 2.2)
             if n == 0:
                 continue
             alpha = n * share

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.synth.mesh import Chart
+from labelgen.synth.raster import MATTE, PAINT
 
 __all__ = ["Colour", "Skin", "dim", "rounded"]
 
@@ -190,6 +191,29 @@ class Skin:
         view = self._dark[self._rows(chart)]
         thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, round(255 * share), thick, cv2.LINE_8, 4)
+
+    def weather(self, chart: Chart, streaks: float, blots: float, rng: np.random.Generator) -> None:
+        """Take light from a drawing's paint unevenly, as rain, dust and age do; glass and lamps stay as they are.
+
+        Args:
+            chart: drawing.
+            streaks: share of the light that the darkest streaks from top to foot take.
+            blots: the same of wide patches.
+            rng: where they are.
+        """
+        view = self._colours[self._rows(chart)]
+        h, w = view.shape[:2]
+
+        def cloud(across_m: float, down_m: float) -> NDArray[np.float32]:
+            coarse = (2 + int(h / (down_m * self.ppm)), 2 + int(w / (across_m * self.ppm)))
+            smooth = cv2.resize(rng.random(coarse).astype(np.float32), (w, h), interpolation=cv2.INTER_CUBIC)
+            return np.asarray(smooth.clip(0, 1))
+
+        taken = streaks * cloud(0.12, 1.2) * cloud(0.6, 0.8) + blots * cloud(0.5, 0.4)
+        dull = (view[..., 3] == PAINT) | (view[..., 3] == MATTE)
+        # Colours are stored as square roots.
+        kept = np.where(dull, np.sqrt(np.clip(1 - taken, 0.1, 1)), 1)[..., None]
+        view[..., :3] = (view[..., :3] * kept).round()
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:

@@ -191,7 +191,7 @@ def _tail_lamps(
 ) -> None:  # fmt: skip
     """A lamp is a bowl behind bowed glass: red above, a pale part, its foot in shadow, the sky on its upper edge."""
     half, design = shape.width / 2, style.tail
-    bright = rng.uniform(0.7, 1.3)
+    bright = rng.uniform(0.55, 1.15)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     lit: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
     core: Colour = (0.50, 0.06, 0.075) if braking else dim(lit, 1.5)
