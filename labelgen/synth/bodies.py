@@ -225,6 +225,17 @@ def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
     return parts
 
 
+def _roof_unit(shape: Shape, place: tuple[float, float, float, float]) -> Mesh:
+    """A housing on a bus's roof, round at its edges."""
+    start, long, wide, tall = place
+    d = start + long * np.array([0.0, 0.03, 0.1, 0.9, 0.97, 1.0])
+    foot = np.interp(d, *top_line(shape)) - 0.06
+    top = foot + 0.06 + tall * np.array([0.3, 0.75, 1.0, 1.0, 0.75, 0.3])
+    half, none = np.full_like(d, wide / 2), np.zeros_like(d)
+    columns = [(none, foot), (half, foot), (half, top - 0.35 * tall), (0.88 * half, top - 0.05 * tall), (none, top)]
+    return loft(shape.length / 2 - d, np.stack([np.stack(column, axis=1) for column in columns], axis=1))
+
+
 def body_mesh(shape: Shape) -> Mesh:
     """Mesh of a vehicle whose bounding cuboid stands on z = 0 around the origin."""
     half = shape.width / 2
@@ -240,6 +251,8 @@ def body_mesh(shape: Shape) -> Mesh:
         parts.append(box_mesh((rear + 0.15, -0.55 * half, 0.6), (rear + 0.7, 0.55 * half, low), chart=Chart.DARK))
         parts.append(box_mesh((rear + 0.02, -0.94 * half, 0.45), (rear + 0.12, 0.94 * half, 0.62), chart=Chart.REAR))
         parts += _underneath(shape, low, high)
+    if shape.roof_unit is not None:
+        parts.append(_roof_unit(shape, shape.roof_unit))
     mesh = join(parts)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])

@@ -138,7 +138,7 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     y, z = centre
     ground, ink, strip = _PLATES[family]
     half, tall = (0.26, 0.055) if family < 2 else (0.21, 0.07)
-    worn = rng.uniform(0.0, 0.3)
+    worn = rng.uniform(0.0, 0.2)
     ground, ink = _toward(ground, _DUST, 0.6 * worn), _toward(ink, ground, 0.1 + worn)
     recess = [(y - half, z + tall), (y + half, z + tall), (y + half, z - tall), (y - half, z - tall)]
     skin.flatten(chart, recess)
@@ -150,8 +150,8 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     for k in range(7):
         if k == 3:
             continue
-        left, wide, high = y + half * (-0.72 + 0.23 * k), 0.034, 0.46 * tall
-        for _ in range(int(rng.integers(1, 4))):  # strokes
+        left, wide, high = y + half * (-0.72 + 0.23 * k), 0.036, 0.56 * tall
+        for _ in range(int(rng.integers(2, 4))):  # strokes
             if rng.random() < 0.5:
                 at = left + rng.uniform(0, wide - 0.012)
                 skin.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)
@@ -178,8 +178,8 @@ def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 
 
 def veil(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
     """The dashboard as a windscreen mirrors it, a pale veil that is strongest at its foot; `ring` as for `gleam`."""
-    points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.14)
-    tone: Colour = (0.82 * level, level, 0.98 * level)
+    points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.17)
+    tone: Colour = (0.72 * level, level, 0.95 * level)
     shares = (rng.uniform(0.0, 0.3), rng.uniform(0.1, 0.7))  # at the head, at the foot
     # Seen from above, noses lie at the drawing's left.
     skin.fade(chart, points, tone, shares[::-1] if chart is Chart.TOP else shares, level=chart is Chart.TOP)

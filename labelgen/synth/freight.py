@@ -136,11 +136,12 @@ def draw_bus(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.rand
         at, tall = rng.uniform(0.5, 0.75) * shape.length, rng.uniform(0.12, 0.3)
         ring = [(0, edge), (at, edge), (at + 1.6, shape.belt), (at + 2.6, shape.belt), (at + 1.2, edge + tall)]
         skin.polygon(Chart.SIDE, [*ring, (0, edge + tall)], _faded_ink(paint, rng), PAINT)
-    if rng.random() < 0.3:
-        low = (rng.uniform(3, 5), edge + 0.05)
-        skin.rectangle(
-            Chart.SIDE, low, (low[0] + rng.uniform(1.5, 3), shape.belt - 0.12), _faded_ink(paint, rng), PAINT
-        )
+    if rng.random() < 0.65:  # an advertisement
+        left, right = rng.uniform(3.0, 4.5), shape.length - rng.uniform(0.5, 3.0)
+        skin.rectangle(Chart.SIDE, (left, edge + 0.03), (right, shape.belt - 0.1), _faded_ink(paint, rng), PAINT)
+        for at in np.arange(left + 0.2, right - 1.0, 1.6).tolist():
+            if rng.random() < 0.7:
+                skin.text(Chart.SIDE, (at, edge + rng.uniform(0.08, 0.2)), company_name(rng), 0.2, ink(rng), PAINT)
     for d in np.arange(1.2, shape.length - 0.5, 1.25).tolist():
         skin.groove(Chart.SIDE, [(d, foot), (d, edge)], 0.006)
         skin.line(Chart.SIDE, [(d, foot + 0.05), (d, edge)], dim(skirt, 0.7), PAINT)
@@ -192,7 +193,19 @@ def _bus_glazing(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generat
             high_seat = low + rng.uniform(0.25, 0.4)
             corners = [(seat, low + 0.06), (back, low + 0.06), (back - 0.05, high_seat), (seat + 0.05, high_seat)]
             skin.polygon(Chart.SIDE, corners, (shade, shade, 1.1 * shade), GLASS)
-        skin.fade(Chart.SIDE, ring, (0.11, 0.125, 0.135), (rng.uniform(0.05, 0.4), 0.03))
+        if rng.random() < 0.45:  # a passenger
+            at, shade = rng.uniform(left + 0.2, right - 0.2), rng.uniform(0.02, 0.2)
+            skin.circle(Chart.SIDE, (at, low + 0.42), 0.11, dim((1.0, 0.7, 0.6), 0.5 * shade), GLASS)
+            shoulders = [
+                (at - 0.2, low + 0.06),
+                (at + 0.2, low + 0.06),
+                (at + 0.14, low + 0.32),
+                (at - 0.14, low + 0.32),
+            ]
+            skin.polygon(Chart.SIDE, shoulders, (shade, 0.9 * shade, shade), GLASS)
+        # Each pane mirrors another part of what is beside the road.
+        level = rng.uniform(0.06, 0.3)
+        skin.fade(Chart.SIDE, ring, (0.85 * level, level, level), (rng.uniform(0.1, 0.6), rng.uniform(0.0, 0.15)))
         skin.rectangle(Chart.SIDE, (right, low + 0.02), (right + pillar, high - 0.02), post, PAINT)
         if lights is not None:
             skin.line(Chart.SIDE, [(left, lights), (right, lights)], (0.05, 0.05, 0.05), MATTE, 0.035)
@@ -213,14 +226,18 @@ def _bus_roof(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator)
         skin.shadow(Chart.TOP, [(0.5, side * 0.8 * half), (length, side * 0.8 * half)], 0.15, 0.08)
     for d in np.arange(1.6, length - 0.5, rng.uniform(1.4, 2.2)).tolist():
         skin.groove(Chart.TOP, [(d, -0.85 * half), (d, 0.85 * half)], 0.004)
-    start, long, wide = rng.uniform(0.25, 0.6) * length, rng.uniform(2.0, 3.4), rng.uniform(0.6, 0.8) * half
-    unit = [(start, -wide), (start + long, -wide), (start + long, wide), (start, wide)]
-    skin.polygon(Chart.TOP, rounded(unit, 0.06), dim(tone, rng.uniform(0.82, 1.1)), MATTE)
-    skin.emboss(Chart.TOP, rounded(unit, 0.06), 0.05, soft=True)
-    skin.shadow(Chart.TOP, [*unit, unit[0]], 0.25, 0.06)
-    for k in range(int(rng.integers(2, 5))):
-        at = start + (k + 0.5) * long / 4
-        skin.circle(Chart.TOP, (at, 0.45 * wide * (-1) ** k), 0.2, dim(tone, 0.62), MATTE)
+    if shape.roof_unit is not None:
+        start, long, wide, _ = shape.roof_unit
+        wide /= 2
+        unit = [(start, -wide), (start + long, -wide), (start + long, wide), (start, wide)]
+        skin.polygon(Chart.TOP, unit, dim(tone, rng.uniform(0.7, 1.15)), MATTE)
+        skin.shadow(Chart.TOP, [*unit, unit[0]], 0.45, 0.12)
+        fans = int(rng.integers(2, 6))
+        for k in range(fans):
+            for side in (-1, 1) if fans < 4 else ((-1) ** k,):
+                at = (start + (k + 0.5) * long / fans, 0.45 * wide * side)
+                skin.circle(Chart.TOP, at, 0.24, dim(tone, 0.4), MATTE)
+                skin.circle(Chart.TOP, at, 0.07, dim(tone, 0.7), MATTE)
     skin.weather(Chart.TOP, 0.0, rng.uniform(0.1, 0.3), rng)
     for d in (0.12 * length, 0.85 * length):
         hatch = [(d, -0.36), (d + 0.7, -0.36), (d + 0.7, 0.36), (d, 0.36)]
@@ -263,7 +280,7 @@ def draw_bus_rear(
     skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, *, lamps: bool
 ) -> None:
     """A bus from behind: window, sign, engine cover, stacked lamps, bumper and plate."""
-    half, high, braking = shape.width / 2, shape.height, bool(rng.random() < 0.2)
+    half, high, braking = shape.width / 2, shape.height, bool(rng.random() < 0.1)
     bumper = shape.clearance + rng.uniform(0.28, 0.4)
     if rng.random() < 0.5:  # a lower part in a tone of its own
         skin.rectangle(Chart.REAR, (-half, 0), (half, rng.uniform(0.9, 1.3)), _faded_ink(paint, rng), PAINT)
@@ -301,7 +318,7 @@ def draw_bus_rear(
         skin.polygon(Chart.REAR, rounded(well, 0.08), TRIM, MATTE)
         for k, plain in enumerate((red, (0.20, 0.10, 0.03), red)):
             shines = (k == 0 and (braking or lamps)) or (k == 2 and braking)
-            colour: Colour = (0.42, 0.035, 0.045) if shines else plain
+            colour: Colour = (0.30, 0.024, 0.03) if shines else plain
             skin.circle(Chart.REAR, (y, bumper + 0.17 + 0.18 * k), 0.075, colour, LIT if shines else LAMP)
         skin.rectangle(Chart.REAR, (y - 0.07, high - 0.3), (y + 0.07, high - 0.26), red, LAMP)
     skin.fade(Chart.REAR, [(-half, 0), (half, 0), (half, low), (-half, low)], _GRIME, (0.0, 0.4))

@@ -93,10 +93,10 @@ def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator
 def _mouths(skin: Skin, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
     """Grille, intakes, the bumper's corners, what is bright on them, and the badge."""
     # Light comes into the openings, and bars stand in them that hardly part from what lies behind.
-    hollow = rng.uniform(0.008, 0.022)
+    hollow = rng.uniform(0.012, 0.034)
     dark: Colour = (hollow, hollow, 1.04 * hollow)
-    bright = dim(CHROME_TONE, rng.uniform(0.7, 1.2))
-    rims, bars = rng.random() < 0.75, rng.uniform(1.6, 3.5)
+    bright = dim(CHROME_TONE, rng.uniform(0.45, 1.1))
+    rims, bars = rng.random() < 0.5, rng.uniform(1.6, 3.5)
     if design.hollow:
         _corners(skin, face, design, dark, bright, rng)
     for opening in design.openings:

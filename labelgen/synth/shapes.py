@@ -36,6 +36,7 @@ class Shape:
         cargo: (d, clearance, height) of a box body that begins at d; None without one.
         bed: (d, depth) of a pickup's bed; None without one.
         aerial: d of the foot of a whip aerial on the roof; None without one.
+        roof_unit: (d, length, width, height) of an air conditioner's housing on the roof; None without one.
     """
 
     kind: str
@@ -62,6 +63,7 @@ class Shape:
     cargo: tuple[float, float, float] | None = None
     bed: tuple[float, float] | None = None
     aerial: float | None = None
+    roof_unit: tuple[float, float, float, float] | None = None
 
 
 _CAR, _TRUCK, _BUS = VehicleClass.CAR, VehicleClass.TRUCK, VehicleClass.BUS
@@ -139,6 +141,10 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
     window = min(rear_window[0] + tail, base.length * along - 0.13)
     places = (None, roof_front[0] + screen + 0.15, roof_rear[0] + tail - 0.15)
     aerial = places[int(rng.choice(3, p=[0.84, 0.05, 0.11]))] if car else None
+    roof_unit = None
+    if kind == "bus" and rng.random() < 0.7:
+        size = rng.uniform([2.0, 1.4, 0.14], [3.6, 1.95, 0.28]).tolist()
+        roof_unit = (rng.uniform(0.2, 0.55) * base.length * along, size[0], size[1], size[2])
     return replace(
         base,
         length=base.length * along,
@@ -160,4 +166,5 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
         cargo=None if base.cargo is None else (base.cargo[0] * along, base.cargo[1], base.cargo[2] * up),
         bed=None if base.bed is None else (base.bed[0] * along, base.bed[1]),
         aerial=aerial,
+        roof_unit=roof_unit,
     )
