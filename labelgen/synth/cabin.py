@@ -115,7 +115,7 @@ def behind_windscreen(
 
 
 def _person(skin: Skin, chart: Chart, placed: OnScreen, at: float, rng: np.random.Generator) -> None:
-    level = float(np.exp(rng.uniform(np.log(0.012), np.log(0.3))))
+    level = float(np.exp(rng.uniform(np.log(0.010), np.log(0.14))))
     red, green, blue = (level * rng.normal(1, 0.25, 3).clip(0.6, 1.4)).tolist()
     tall = rng.uniform(-0.03, 0.03)
     skin.polygon(chart, placed(_blob(at, 0.36, 0.20, 0.20 + tall)), (red, green, blue), GLASS)

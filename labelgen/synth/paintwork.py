@@ -311,7 +311,7 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
         d, y = np.array(points).T
         return np.stack([d + setback(shape, d, y * half), y * half], axis=1)
 
-    inner, rise = rng.uniform(0.3, 0.6), rng.uniform(0.002, 0.008)
+    inner, rise = rng.uniform(0.3, 0.6), rng.uniform(0.0, 0.003)
     for side in (-1, 1):
         gap = bowed([(start, 0.62 * side), (start + 0.2, 0.70 * side), (back, 0.78 * side)])
         skin.line(Chart.TOP, gap, seam, PAINT)
