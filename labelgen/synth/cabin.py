@@ -66,7 +66,7 @@ def _light_beyond(skin: Skin, chart: Chart, placed: OnScreen, level: float, heig
 def _mirrored_patches(skin: Skin, chart: Chart, placed: OnScreen, rng: np.random.Generator) -> None:
     """Gaps of sky between what the glass mirrors of the roadside, softly: several faint layers of each."""
     for _ in range(int(rng.integers(2, 7))):
-        at, up, level = rng.uniform(-0.9, 0.9), rng.uniform(0.1, 0.95), rng.uniform(0.02, 0.16)
+        at, up, level = rng.uniform(-0.9, 0.9), rng.uniform(0.1, 0.95), rng.uniform(0.02, 0.11)
         wide, tall = rng.uniform(0.08, 0.35), rng.uniform(0.06, 0.25)
         for size in (1.0, 0.75, 0.5):
             ring = placed(_blob(at, up, size * wide, size * tall, 2).clip([-0.98, 0.0], [0.98, 1.0]))
@@ -130,12 +130,12 @@ def behind_rear_screen(
 ) -> None:
     """Parcel shelf, head rests, the windscreen's light far ahead; arguments as for `behind_windscreen`."""
     low = rng.uniform(0.36, 0.48)
-    kind = int(rng.choice(3, p=[0.35, 0.45, 0.20]))  # film; clear; a blind or curtain
+    kind = int(rng.choice(3, p=[0.45, 0.47, 0.08]))  # film; clear; a blind or curtain
     clear *= (0.15, 1.0, 0.4)[kind]
     _light_beyond(skin, chart, placed, glass[1] + rng.uniform(0.08, 0.26) * clear, (low, rng.uniform(0.76, 0.88)))
     lit = 0.25 + 0.75 * clear
     # Covers of seats and what lies on shelves are pale in some.
-    seat = dim(_grey(rng, 0.008, 0.30, 1.05), lit)
+    seat = dim(_grey(rng, 0.008, 0.14, 1.05), lit)
     for at in (-0.42, 0.42):  # in front
         skin.polygon(chart, placed(_blob(at, low + 0.05, 0.12, 0.17)), dim(seat, 0.8), GLASS)
     if rng.random() < 0.7:
@@ -148,12 +148,12 @@ def behind_rear_screen(
     tone = dim(_grey(rng, 0.02, 0.22), lit)
     skin.polygon(chart, placed([(-0.97, 0), (0.97, 0), (0.92, shelf), (-0.92, shelf)]), tone, GLASS)
     if kind == 2:
-        level = rng.uniform(0.06, 0.4)
+        level = rng.uniform(0.04, 0.2)
         foot, head = rng.uniform(0.0, 0.25), rng.uniform(0.5, 0.95)
         edge = [(-0.85, foot), (0.85, foot), (0.80, head), (-0.80, head)]
         skin.polygon(chart, placed(edge), (0.9 * level, level, 0.95 * level), GLASS)
     for _ in range(int(rng.integers(0, 3))):  # luggage, toys, papers, covers
-        level = rng.uniform(0.05, 0.5) * lit
+        level = rng.uniform(0.02, 0.22) * lit
         thing: Colour = (level, level * rng.uniform(0.7, 1.0), level * rng.uniform(0.5, 1.0))
         at, wide = rng.uniform(-0.6, 0.6), rng.uniform(0.06, 0.18)
         skin.polygon(chart, placed(_blob(at, shelf, wide, rng.uniform(0.05, 0.12), 4)), thing, GLASS)

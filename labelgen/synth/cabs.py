@@ -133,8 +133,8 @@ def _lamp(skin: Skin, points: list[tuple[float, float]], half: float, side: int,
     skin.polygon(Chart.FRONT, outer[np.abs(outer[:, 0]) > np.abs(middle[0]) + 0.1], (0.22, 0.10, 0.03), LAMP)
     for along in (-0.09, 0.09):
         spot = (float(middle[0]) + side * along, float(middle[1]))
-        skin.circle(Chart.FRONT, spot, 0.065, dim(CHROME_TONE, 1.3), LAMP)
-        skin.circle(Chart.FRONT, spot, 0.03, dim(CHROME_TONE, 0.5), LAMP)
+        skin.circle(Chart.FRONT, spot, 0.06, dim(CHROME_TONE, 0.8), LAMP)
+        skin.circle(Chart.FRONT, spot, 0.04, dim(CHROME_TONE, 0.35), LAMP)
         if lamps and along > 0:
             skin.circle(Chart.FRONT, spot, 0.06, GLOW, LIT)
     skin.bow(Chart.FRONT, smooth, (0.6, 0.8), (0.0, 0.2))

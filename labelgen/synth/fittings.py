@@ -93,7 +93,7 @@ def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = No
     upright = shape.bed is not None or (shape.kind in ("suv", "minivan", "estate", "van") and rng.random() < 0.5)
     rails = 0
     if shape.kind in ("estate", "suv", "minivan"):
-        rails = int(rng.choice(3, p=[0.58, 0.24, 0.18]))
+        rails = int(rng.choice(3, p=[0.64, 0.14, 0.22]))
     designs = VAN_DESIGNS if shape.kind == "van" else CAR_DESIGNS
     shares = np.array([design.share for design in designs])
     tails = VAN_TAILS if shape.kind == "van" else CAR_TAILS

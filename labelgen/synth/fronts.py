@@ -205,8 +205,8 @@ def _head_lamps(
             skin.polygon(Chart.FRONT, rounded(face.at(design.amber, side), 0.08), tone, LAMP)
         for k, (y, t, radius) in enumerate(design.bowls):
             centre = face.at([(y, t)], side)[0]
-            skin.circle(Chart.FRONT, centre.tolist(), radius, silver, LAMP)
-            skin.circle(Chart.FRONT, centre.tolist(), 0.74 * radius, dim(silver, 0.16 if black else 0.45), LAMP)
+            skin.circle(Chart.FRONT, centre.tolist(), radius, dim(silver, 0.7), LAMP)
+            skin.circle(Chart.FRONT, centre.tolist(), 0.74 * radius, dim(silver, 0.22 if black else 0.45), LAMP)
             skin.circle(
                 Chart.FRONT, (centre + np.array([0, 0.25 * radius])).tolist(), 0.36 * radius, dim(silver, 1.5), LAMP
             )

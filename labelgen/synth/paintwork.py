@@ -233,9 +233,10 @@ def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ran
         _bonnet(skin, shape, half, seam, rng)
     sunroof = rng.random()
     if style.rails:
-        rail = (BLACK, MATTE) if style.rails == 1 else (dim(CHROME_TONE, 0.5), LAMP)
+        rail = ((0.03, 0.03, 0.031), MATTE) if style.rails == 1 else (dim(CHROME_TONE, 0.5), LAMP)
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.03)
+            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.02)
+            skin.shadow(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], 0.2, 0.06)
     elif shape.kind != "bus" and shape.cargo is None:
         for y in (edge, -edge):
             tone = BLACK if style.dark_roof else dim(paint, 0.75)

@@ -187,7 +187,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
             gleam = paint[1] * (5.0 * wide + 110.0 * wide**12)
         # Not all of it along outlines, where a pixel's few samples would make a dotted line of it.
         rim = min(away, 0.7)
-        mirrored = (0.05 + 0.95 * rim * rim * rim) * paint[1]
+        mirrored = (0.05 + 0.80 * rim * rim * rim) * paint[1]
         return mirrored, gleam, paint[0] * 0.8 * squared * squared * squared * squared, 1.0
     if material == GLASS:
         if sharp:

@@ -142,7 +142,7 @@ def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
     places = (None, roof_front[0] + screen + 0.15, roof_rear[0] + tail - 0.15)
     aerial = places[int(rng.choice(3, p=[0.84, 0.05, 0.11]))] if car else None
     roof_unit = None
-    if kind == "bus" and rng.random() < 0.7:
+    if kind == "bus" and rng.random() < 0.95:
         size = rng.uniform([2.0, 1.4, 0.14], [3.6, 1.95, 0.28]).tolist()
         roof_unit = (rng.uniform(0.2, 0.55) * base.length * along, size[0], size[1], size[2])
     return replace(

@@ -21,9 +21,8 @@ __all__ = ["VideoWriter"]
 
 
 # Bits go where the picture is busy rather than into the noise of an even road, as in cameras' own encoders, and there
-# are no cuts to look for: this takes less time and half the space. Small remains are coded as well: left out, they
-# stay behind vehicles as coloured dots.
-_PLAIN_H264 = "aq-mode=0:weightp=0:scenecut=0:dct-decimate=0"
+# are no cuts to look for: this takes less time and half the space.
+_PLAIN_H264 = "aq-mode=0:weightp=0:scenecut=0"
 
 
 def _codecs(crf: int, preset: str) -> tuple[tuple[str, dict[str, str]], ...]:
