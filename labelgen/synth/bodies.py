@@ -16,7 +16,7 @@ __all__ = ["END_M", "body_mesh", "cabin_edge", "face_edge", "outside_parts", "se
 
 _FINE = 0.01
 END_M = 0.18
-"""How far behind their middles noses and tails show the drawings of the ends; one of the lofts' sections lies there."""
+"""How far behind their middles noses and tails show the drawings of the ends, to the next of the lofts' sections."""
 _AROUND_CORNERS = 0.3
 """And how much they have to face that way: the cosine."""
 
@@ -103,7 +103,7 @@ def cabin_edge(shape: Shape, half_width: Any, z: Any) -> Any:
 def _stations(shape: Shape) -> NDArray[np.float64]:
     end = shell_end(shape)
     marks = [shape.cowl[0], shape.roof_front[0], shape.roof_rear[0], shape.rear_window[0]]
-    ends = [0, 0.02, 0.05, 0.1, 0.18, 0.3, 0.45, 0.65]
+    ends = [0, 0.02, 0.05, 0.1, END_M, 0.3, 0.45, 0.65]
     d = [*ends, *(end - e for e in ends), *np.arange(0.8, end - 0.7, 0.3)]
     d += [m + o for m in marks for o in (-0.16, -0.08, -0.03, 0.03, 0.08, 0.16)]
     ordered = np.unique(np.round(np.clip(d, 0, end), 3))

@@ -23,8 +23,10 @@ __all__ = [
     "PLATES",
     "SEAM",
     "SILL",
+    "SKY",
     "TRIM",
     "Style",
+    "bowl",
     "draw_wheels",
     "gleam",
     "mirrored",
@@ -54,7 +56,7 @@ class Style:
         tail: its tail lamps.
         cladding: height of unpainted plastic at the sills, metres; also around the wheels when over 0.1.
         dark_bumpers: whether bumpers are unpainted.
-        chrome: whether window frames and grille are bright.
+        chrome: whether window frames and the bar above the rear plate are bright.
         glass: albedo of the dark behind the glass.
         rear_glass: the same from the second row on.
         clear, rear_clear: 0 to 1, how much light comes through the cabin to who looks in at the front, at the rear.
@@ -125,7 +127,8 @@ _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
 
 
 _DUST: Colour = (0.20, 0.19, 0.17)
-_SKY: Colour = (0.30, 0.33, 0.36)
+SKY: Colour = (0.30, 0.33, 0.36)
+"""What bright glass mirrors."""
 
 
 def _toward(colour: Colour, other: Colour, share: float) -> Colour:
@@ -159,7 +162,7 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
                 at = z + rng.uniform(-high, high - 0.012)
                 skin.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
     # The sky is mirrored in its upper part.
-    skin.fade(chart, recess, _SKY, (rng.uniform(0.05, 0.25), 0.03))
+    skin.fade(chart, recess, SKY, (rng.uniform(0.05, 0.25), 0.03))
 
 
 def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
@@ -177,7 +180,7 @@ def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 
 
 
 def veil(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
-    """The dashboard as a windscreen mirrors it, a pale veil that is strongest at its foot; `ring` as for `gleam`."""
+    """The dashboard as a windscreen mirrors it, a pale veil that is mostly stronger at its foot."""
     points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.17)
     tone: Colour = (0.72 * level, level, 0.95 * level)
     shares = (rng.uniform(0.0, 0.3), rng.uniform(0.1, 0.7))  # at the head, at the foot
@@ -226,6 +229,16 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
                 ring = [hub - across, hub + across, tip + 0.7 * across, tip - 0.7 * across]
                 skin.polygon(Chart.WHEEL, ring, rim, LAMP)
         skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, LAMP)
+
+
+def bowl(
+    skin: Skin, chart: Chart, centre: NDArray[np.float64], radius: float, tones: tuple[Colour, Colour, Colour]
+) -> None:
+    """A round reflector: its rim, what lies inside, and the spot of light that stands above its middle."""
+    rim, inside, spot = tones
+    skin.circle(chart, centre.tolist(), radius, rim, LAMP)
+    skin.circle(chart, centre.tolist(), 0.74 * radius, inside, LAMP)
+    skin.circle(chart, (centre + np.array([0, 0.27 * radius])).tolist(), 0.34 * radius, spot, LAMP)
 
 
 def mirrored(points: Sequence[tuple[float, float]], side: int) -> list[tuple[float, float]]:

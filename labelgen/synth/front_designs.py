@@ -51,7 +51,7 @@ class FrontDesign:
         badge: t, radius in metres, and "disc", "ring", "bolt" or "none".
         plate: t of the number plate's middle.
         hollow: the bumper's dark corner; empty without.
-        fog: fog lamps, within it.
+        fog: fog lamps, in that corner or in an opening.
         lip: t below which the bumper is unpainted.
         skid: t of the lower and upper edge of a silver plate in the middle; equal without.
         share: how common it is.
@@ -148,7 +148,7 @@ CAR_DESIGNS: tuple[FrontDesign, ...] = (
         "two-nostrils",
         lamp=((0.47, 0.86), (0.50, 0.68), (0.80, 0.66), (0.98, 0.76), (0.99, 0.94), (0.72, 0.97)),
         sweep=0.20, bowls=((0.62, 0.82, 0.052), (0.80, 0.82, 0.052)),
-        strips=(((0.50, 0.93), (0.72, 0.95), (0.94, 0.92)),),
+        strips=(((0.53, 0.86), (0.72, 0.94), (0.94, 0.92)),),
         amber=((0.90, 0.74), (0.98, 0.78), (0.98, 0.92), (0.91, 0.92)), dark=0.5,
         openings=(
             Opening(((0.04, 0.66), (0.30, 0.66), (0.36, 0.80), (0.32, 0.93), (0.06, 0.93)), "fins", 0.014, True),

@@ -10,7 +10,21 @@ from numpy.typing import NDArray
 
 from labelgen.synth.bodies import END_M, cabin_edge, face_edge, setback
 from labelgen.synth.cabin import behind_windscreen, on_screen
-from labelgen.synth.fittings import CHROME_TONE, GLOW, SEAM, SILL, TRIM, Style, gleam, mirrored, pane, plate, veil
+from labelgen.synth.fittings import (
+    CHROME_TONE,
+    GLOW,
+    SEAM,
+    SILL,
+    SKY,
+    TRIM,
+    Style,
+    bowl,
+    gleam,
+    mirrored,
+    pane,
+    plate,
+    veil,
+)
 from labelgen.synth.front_designs import FrontDesign, Opening
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import LAMP, LIT, MATTE, PAINT
@@ -97,14 +111,15 @@ def _mouths(skin: Skin, face: _Face, design: FrontDesign, paint: Colour, rng: np
     dark: Colour = (hollow, hollow, 1.04 * hollow)
     bright = dim(CHROME_TONE, rng.uniform(0.45, 1.1))
     rims, bars = rng.random() < 0.5, rng.uniform(1.6, 3.5)
-    if design.hollow:
-        _corners(skin, face, design, dark, bright, rng)
+    strip = bool(design.hollow) and _corners(skin, face, design, dark, bright, rng)
     for opening in design.openings:
         rings = [face.at(opening.half, side) for side in (-1, 1)]
         if not opening.paired:
             rings = [np.concatenate([rings[1], rings[0][::-1]])]
         for ring in rings:
             _opening(skin, ring, opening, dark, dim(dark, bars), bright if rims else dark)
+    if not strip:
+        _fog_lamps(skin, face, design)
     low, high = design.skid
     if high > low and rng.random() < 0.7:
         ring = face.at([(-0.46, low), (0.46, low), (0.40, high), (-0.40, high)])
@@ -137,9 +152,9 @@ def _opening(skin: Skin, ring: NDArray[np.float64], opening: Opening, dark: Colo
 
 def _corners(
     skin: Skin, face: _Face, design: FrontDesign, dark: Colour, bright: Colour, rng: np.random.Generator
-) -> None:
-    """The bumper's corners: dark hollows, with fog lamps or a strip of light or chrome in most."""
-    kind = int(rng.choice(3, p=[0.6, 0.25, 0.15]))  # fog lamps; with a bright frame as well; a strip alone
+) -> bool:
+    """The bumper's corners: dark hollows, some with a bright frame; returns whether a strip stands for fog lamps."""
+    kind = int(rng.choice(3, p=[0.6, 0.25, 0.15]))  # plain; with a bright frame; with a strip
     for side in (-1, 1):
         ring = rounded(face.at(design.hollow, side), 0.1)
         skin.polygon(Chart.FRONT, ring, dark, MATTE)
@@ -148,14 +163,16 @@ def _corners(
             under = ring[np.argsort(ring[:, 1])[: len(ring) // 2]]
             under = under[np.argsort(under[:, 0])]
             skin.line(Chart.FRONT, under, bright, LAMP, 0.022)
-        if kind == 2:
+        elif kind == 2:
             skin.line(Chart.FRONT, face.at(design.hollow[1:3], side), dim(_REFLECTOR, 1.2), LAMP, 0.024)
-            continue
+    return kind == 2
+
+
+def _fog_lamps(skin: Skin, face: _Face, design: FrontDesign) -> None:
+    for side in (-1, 1):
         for y, t, radius in design.fog:
-            centre = face.at([(y, t)], side)[0].tolist()
-            skin.circle(Chart.FRONT, centre, radius, dim(_REFLECTOR, 0.75), LAMP)
-            skin.circle(Chart.FRONT, centre, 0.6 * radius, (0.10, 0.10, 0.11), LAMP)
-            skin.circle(Chart.FRONT, (centre[0], centre[1] + 0.3 * radius), 0.3 * radius, _REFLECTOR, LAMP)
+            centre = face.at([(y, t)], side)[0]
+            bowl(skin, Chart.FRONT, centre, radius, (dim(_REFLECTOR, 0.75), (0.10, 0.10, 0.11), _REFLECTOR))
 
 
 def _badge(skin: Skin, face: _Face, design: FrontDesign, bright: Colour, rng: np.random.Generator) -> None:
@@ -205,17 +222,14 @@ def _head_lamps(
             skin.polygon(Chart.FRONT, rounded(face.at(design.amber, side), 0.08), tone, LAMP)
         for k, (y, t, radius) in enumerate(design.bowls):
             centre = face.at([(y, t)], side)[0]
-            skin.circle(Chart.FRONT, centre.tolist(), radius, dim(silver, 0.7), LAMP)
-            skin.circle(Chart.FRONT, centre.tolist(), 0.74 * radius, dim(silver, 0.22 if black else 0.45), LAMP)
-            skin.circle(
-                Chart.FRONT, (centre + np.array([0, 0.25 * radius])).tolist(), 0.36 * radius, dim(silver, 1.5), LAMP
-            )
+            inside = dim(silver, 0.22 if black else 0.45)
+            bowl(skin, Chart.FRONT, centre, radius, (dim(silver, 0.7), inside, dim(silver, 1.2)))
             if lamps and k == 0:
                 skin.circle(Chart.FRONT, centre.tolist(), 1.05 * radius, GLOW, LIT)
         for strip in design.strips:
             lit: tuple[Colour, int] = (dim(GLOW, 0.75), LIT) if day_light else (dim(silver, 1.1), LAMP)
             skin.line(Chart.FRONT, face.at(strip, side), *lit, width=0.016)
-        skin.fade(Chart.FRONT, smooth, (0.30, 0.33, 0.36), (sky, 0.0))
+        skin.fade(Chart.FRONT, smooth, SKY, (sky, 0.0))
         skin.line(Chart.FRONT, closed, (0.012, 0.012, 0.013), LAMP, 0.012)
         skin.bow(Chart.FRONT, smooth, (0.8, 1.0), (0.0, 0.30))
         skin.emboss(Chart.FRONT, smooth, 0.006)

@@ -11,8 +11,11 @@ from labelgen.synth.skin import Colour, Skin
 
 __all__ = ["TRADES", "company_name", "ink", "letter_cargo", "letter_van", "telephone"]
 
-# Both sides of a vehicle show one drawing, on the right mirrored: these letters read either way.
+# Both sides of a vehicle show one drawing, on the right mirrored: these read either way.
+_DIGITS = "018"
 _SYLLABLES = ("MA", "TO", "VI", "HA", "XI", "YO", "TU", "WA", "AM", "OT", "IVA", "OHM")
+_ROOM_M = 1.2
+"""Of a van's sides without windows, below which nothing is written on them."""
 TRADES = ("TRANSPORT", "CARGO", "EXPRESS", "LOGISTIK", "FREIGHT", "FRESH", "SPEDITION", "MOVERS", "PAPIER", "BAU")
 
 
@@ -21,9 +24,9 @@ def company_name(rng: np.random.Generator) -> str:
     return "".join(rng.choice(_SYLLABLES, int(rng.integers(2, 4))))
 
 
-def telephone(rng: np.random.Generator) -> str:
-    """A telephone number."""
-    return " ".join("".join(rng.choice(list("0123456789"), 3)) for _ in range(3))
+def telephone(rng: np.random.Generator, digits: str = "0123456789") -> str:
+    """A telephone number of some digits."""
+    return " ".join("".join(rng.choice(list(digits), 3)) for _ in range(3))
 
 
 def ink(rng: np.random.Generator) -> Colour:
@@ -46,7 +49,7 @@ def letter_cargo(skin: Skin, shape: Shape, start: float, rng: np.random.Generato
         skin.rectangle(Chart.SIDE, *band, ink(rng), PAINT)
     base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.28) * tall
     name = company_name(rng)
-    size = min(size, 0.9 * (shape.length - 0.3 - left) / max(len(name), 1))
+    size = min(size, 0.9 * (shape.length - 0.3 - left) / len(name))
     skin.text(Chart.SIDE, (left, base), name, size, colour, PAINT)
     if rng.random() < 0.8:
         half = shape.width / 2
@@ -60,16 +63,25 @@ def letter_cargo(skin: Skin, shape: Shape, start: float, rng: np.random.Generato
 
 
 def letter_van(skin: Skin, shape: Shape, first: float, rng: np.random.Generator) -> None:
-    """A craftsman's name and number on a van's sides, behind `first` (metres from its front), and on its doors."""
+    """A craftsman's name and number on a van's doors, and where there is room on its sides.
+
+    Args:
+        skin: painted on.
+        shape: of the van.
+        first: metres behind its front, where its side windows end.
+        rng: decides.
+    """
     colour, name = ink(rng), company_name(rng)
+    size = min(rng.uniform(0.2, 0.4), 0.7 / len(name))
+    skin.text(Chart.REAR, (-0.75, 0.85), name, size, colour, PAINT)
+    skin.text(Chart.REAR, (0.12, 0.80), telephone(rng), 0.07, colour, PAINT)
     room = shape.length - 0.3 - first
-    if rng.random() < 0.3:
-        edge = [(first, 0.5), (first + 0.4, 0.5), (shape.length, shape.belt + 0.1), (shape.length, 0.5)]
+    if room < _ROOM_M:
+        return
+    if rng.random() < 0.3:  # above the wheels' arches
+        edge = [(first, 0.86), (shape.length, 0.86), (shape.length, shape.belt + 0.1)]
         skin.polygon(Chart.SIDE, edge, ink(rng), PAINT)
     size = min(rng.uniform(0.2, 0.4), 0.85 * room / len(name))
     base = shape.belt + rng.uniform(0.1, 0.35)
-    skin.text(Chart.SIDE, (first + 0.08 * room, base), name, size, colour, PAINT)
-    skin.text(Chart.SIDE, (first + 0.1 * room, base - 0.22), telephone(rng), 0.1, colour, PAINT)
-    size = min(size, 0.7 / len(name))
-    skin.text(Chart.REAR, (-0.75, 0.85), name, size, colour, PAINT)
-    skin.text(Chart.REAR, (0.12, 0.80), telephone(rng), 0.07, colour, PAINT)
+    skin.text(Chart.SIDE, (first + 0.1 * room, base), name, size, colour, PAINT)
+    skin.text(Chart.SIDE, (first + 0.1 * room, base - 0.22), telephone(rng, _DIGITS), 0.1, colour, PAINT)

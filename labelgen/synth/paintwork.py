@@ -57,7 +57,7 @@ def draw_skin(
     skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
     heavy = shape.cargo is not None or shape.kind == "bus"
     skin.fill(Chart.MIRROR, dim(paint, 0.85) if rng.random() < (0.15 if heavy else 0.85) else TRIM, PAINT)
-    _draw_side(skin, shape, paint, style, rng)
+    windows_end = _draw_side(skin, shape, paint, style, rng)
     _draw_top(skin, shape, paint, style, rng)
     draw_wheels(skin, shape, rng)
     if shape.kind == "bus":
@@ -71,14 +71,15 @@ def draw_skin(
         draw_front(skin, shape, paint, style, rng, lamps)
         draw_rear(skin, shape, paint, style, rng, lamps)
         if shape.kind == "van" and rng.random() < 0.45:
-            letter_van(skin, shape, shape.roof_front[0] + 1.0, rng)
+            letter_van(skin, shape, windows_end + 0.25, rng)
         dusty = rng.uniform(0.05, 0.25) if shape.kind in ("van", "pickup") else rng.uniform(0.0, 0.08)
         for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT, Chart.TOP):
             skin.weather(chart, 0.0 if chart is Chart.TOP else dusty, 0.6 * dusty, rng)
     return skin
 
 
-def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
+def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
+    """Sheet metal, windows, doors and arches; returns where the windows end, metres behind the front."""
     end = shell_end(shape)
     waist = shape.belt - rng.uniform(0.16, 0.32)
     # Sheet metal: a crease along the waist, the wings' bulge, hollows in the doors.
@@ -97,8 +98,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
             skin.rectangle(Chart.SIDE, (low, 0), (high, shape.nose - 0.28), TRIM, MATTE)
     if rng.random() < 0.2:
         skin.rectangle(Chart.SIDE, (0.8, waist - 0.2), (end - 0.8, waist - 0.14), TRIM, MATTE)
-    if shape.kind != "bus":
-        _side_windows(skin, shape, paint, style, rng)
+    windows_end = 0.0 if shape.kind == "bus" else _side_windows(skin, shape, paint, style, rng)
     arch = 1.09 * shape.wheel
     for axle in shape.axles:
         grow = 1.35 if style.cladding > 0.1 else 1.12
@@ -112,6 +112,7 @@ def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.ra
         skin.line(Chart.SIDE, line, dim(paint, SEAM), PAINT)
     if rng.random() < 0.3:
         skin.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.69, waist + 0.05), (0.30, 0.15, 0.03), LAMP)
+    return windows_end
 
 
 def _disc(centre: tuple[float, float], radius: float) -> Any:
@@ -119,8 +120,8 @@ def _disc(centre: tuple[float, float], radius: float) -> Any:
     return np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
 
 
-def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
-    """Glass between pillars, and the doors below it."""
+def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
+    """Glass between pillars, and the doors below it; returns where the glass ends."""
     d, z = top_line(shape)
     sill, frame = shape.belt + 0.02, 0.075
     first = shape.cowl[0] + 0.20 * (shape.roof_front[0] - shape.cowl[0]) + 0.10
@@ -134,7 +135,7 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
         last = shape.roof_rear[0] - 0.25
     inside = (z - frame > sill + 0.02) & (d > first) & (d < min(last, shape.rear_window[0]))
     if inside.sum() <= 4:
-        return
+        return 0.0
     outline = np.concatenate([np.stack([d, z - frame], 1)[inside], [[d[inside][-1], sill], [d[inside][0], sill]]])
     if style.chrome:
         # As a bright tone: materials do not mix, and a mirroring line thinner than a pixel would be drawn in dashes.
@@ -168,6 +169,7 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
     band = np.concatenate([np.stack([d, z + 0.02], 1), np.stack([d, z - frame], 1)[::-1]])
     skin.polygon(Chart.SIDE, band, paint, PAINT)
     _doors(skin, shape, paint, (low, high), pillars, rng)
+    return high
 
 
 _HEAD_REST = ((-0.12, 0.03), (-0.10, 0.16), (-0.08, 0.24), (0.08, 0.24), (0.10, 0.16), (0.14, 0.03))

@@ -288,8 +288,7 @@ def shade(
 
     Args:
         ids: what `visible_triangles` returned.
-        screen: (V, 3) as there.
-        triangles: (T, 3) as there.
+        screen, triangles: (V, 3) and (T, 3), as there.
         body: (V, 3) metres, vertices in the body frame (x ahead, y left, z up).
         normals: (T, 3, 3) unit normals at the corners, body frame.
         charts: (T,) which row of `chart_maps` a triangle's skin is read through.
@@ -304,8 +303,7 @@ def shade(
         grid: (3,) `Shade.grid`.
         exposure: factor before the camera's curve.
         curve: `Light.curve`.
-        origin: as there.
-        ss: as there.
+        origin, ss: as there.
 
     Returns:
         (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1].

@@ -301,8 +301,7 @@ class Renderer:
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         # Of nine samples five are lit: drawings twice as fine do not flicker yet.
-        metres_per_px = float(np.median(screen[:, 2])) / camera.focal
-        skin, maps = placed.vehicle.skin.level(metres_per_px / 2 if ss == 3 else metres_per_px)
+        skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal / (2 if ss == 3 else 1))
         layer: Any = shade(
             ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
             self._packed, self.light.around, pose, self._shade.sun, self._shade.grid, self.light.exposure,

@@ -17,7 +17,7 @@ class Shape:
 
     Args:
         kind: name of the body type.
-        length, width, height: outer size without mirrors.
+        length, width, height: outer size without mirrors and `roof_unit`.
         clearance: height of the body's lower edge.
         nose: height of the bonnet's front edge.
         cowl: (d, z) where the windscreen begins.

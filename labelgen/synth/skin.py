@@ -22,7 +22,7 @@ __all__ = ["Colour", "Skin", "dim", "rounded"]
 _PPM, _PPM_LONG = 96, 56
 """Skin pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
 _LONG_M = 6.5
-# By how many texels, where one that is seen squarely fills a pixel.
+# By how many texels: one that is seen squarely fills a pixel or half of one.
 _FORESHORTENED = ((Chart.SIDE, 5), (Chart.TOP, 5))
 _FONT, _CAPITAL_PX = cv2.FONT_HERSHEY_DUPLEX, 21.0
 """And how tall its capitals are at scale 1."""
@@ -116,7 +116,10 @@ class Skin:
         view = self._colours[self._rows(chart)]
         x, y = (self._pixels(chart, [at])[0] / 16).round().astype(int).tolist()
         scale, thick = height * self.ppm / _CAPITAL_PX, max(1, round(0.17 * height * self.ppm))
-        cv2.putText(view, words, (x, y), _FONT, scale, _texel(colour, material), thick, cv2.LINE_8)
+        # By way of a mask, since on four channels some versions of OpenCV blend, and materials do not mix.
+        letters = np.zeros(view.shape[:2], dtype=np.uint8)
+        cv2.putText(letters, words, (x, y), _FONT, scale, 255, thick, cv2.LINE_8)
+        view[letters > 127] = _texel(colour, material)
         return float(cv2.getTextSize(words, _FONT, scale, thick)[0][0] / self.ppm)
 
     def fade(self, chart: Chart, points: Any, colour: Colour, shares: Sequence[float], *, level: bool = False) -> None:
@@ -193,7 +196,7 @@ class Skin:
         cv2.polylines(view, [self._pixels(chart, points)], False, round(255 * share), thick, cv2.LINE_8, 4)
 
     def weather(self, chart: Chart, streaks: float, blots: float, rng: np.random.Generator) -> None:
-        """Take light from a drawing's paint unevenly, as rain, dust and age do; glass and lamps stay as they are.
+        """Take light from a drawing's paint and trim unevenly, as rain, dust and age do; not from glass and lamps.
 
         Args:
             chart: drawing.

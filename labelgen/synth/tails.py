@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labelgen.synth.bodies import cabin_edge, setback, shell_end
 from labelgen.synth.cabin import behind_rear_screen, on_screen
-from labelgen.synth.fittings import BLACK, CHROME_TONE, SEAM, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.fittings import BLACK, CHROME_TONE, SEAM, TRIM, Style, bowl, gleam, mirrored, pane, plate
 from labelgen.synth.mesh import Chart
 from labelgen.synth.raster import CHROME, GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.shapes import Shape
@@ -149,7 +149,7 @@ def _rear_doors(skin: Skin, shape: Shape, style: Style, seam: Colour, rng: np.ra
 
 
 def _door_pane(skin: Skin, ring: Any, style: Style, rng: np.random.Generator) -> None:
-    """A window in a van's door: film, a grille or the load behind it, a wiper at some."""
+    """A window in a van's door: film, a grille or the load behind it."""
     inner = pane(skin, Chart.REAR, ring, style.rear_glass, rim=0.92)
     low, high = inner.min(axis=0), inner.max(axis=0)
     behind = int(rng.choice(3, p=[0.4, 0.25, 0.35]))
@@ -189,7 +189,7 @@ def _tail_lamps(
     skin: Skin, shape: Shape, style: Style, top: float, tall: float, rng: np.random.Generator, lamps: bool,
     braking: bool,
 ) -> None:  # fmt: skip
-    """A lamp is a bowl behind bowed glass: red above, a pale part, its foot in shadow, the sky on its upper edge."""
+    """Behind bowed red glass: clear and amber fields, bowls, strips; its foot in shadow, the sky on its upper edge."""
     half, design = shape.width / 2, style.tail
     bright = rng.uniform(0.55, 1.15)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
@@ -216,11 +216,7 @@ def _tail_lamps(
                 skin.polygon(Chart.REAR, rounded(at(field, side), 0.08), colour, LAMP)
         for y, down, radius in design.bowls:
             centre = at([(y, down)], side)[0]
-            skin.circle(Chart.REAR, centre.tolist(), radius, dim(unlit, 0.4), LAMP)
-            skin.circle(Chart.REAR, centre.tolist(), 0.78 * radius, dim(unlit, 1.7), LAMP)
-            skin.circle(
-                Chart.REAR, (centre + np.array([0, 0.3 * radius])).tolist(), 0.3 * radius, dim(unlit, 2.2), LAMP
-            )
+            bowl(skin, Chart.REAR, centre, radius, (dim(unlit, 0.4), dim(unlit, 1.7), dim(unlit, 2.2)))
         for strip in design.strips:
             skin.line(Chart.REAR, at(strip, side), dim(unlit, 1.9), LAMP, 0.018)
         if lamps or braking:
@@ -237,5 +233,6 @@ def _tail_lamps(
     end = shell_end(shape)
     reach = end + float(setback(shape, end, 0.95 * half)) - 0.16
     above = top + max(-min(down for _, down in design.outline), 0.0) * tall
-    seen = [(end, top - 0.85 * tall), (reach + 0.05, top - 0.7 * tall), (reach, above - 0.04), (end, above)]
+    below = top - max(down for _, down in design.outline) * tall
+    seen = [(end, below), (reach + 0.05, below + 0.15 * tall), (reach, above - 0.04), (end, above)]
     skin.polygon(Chart.SIDE, seen, dim(unlit, 0.8), LAMP)

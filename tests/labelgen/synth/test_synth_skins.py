@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shapely.geometry import Point, Polygon
+from shapely.geometry import LineString, Point, Polygon
+from shapely.ops import unary_union
 
 from labelgen.synth.bodies import body_mesh
 from labelgen.synth.fittings import sample_style
 from labelgen.synth.front_designs import CAR_DESIGNS, VAN_DESIGNS, FrontDesign
+from labelgen.synth.lettering import letter_van
 from labelgen.synth.light import Weather, make_light
 from labelgen.synth.mesh import Chart
-from labelgen.synth.raster import GLASS, LAMP, LIT, PAINT, PLATE
+from labelgen.synth.raster import CHROME, GLASS, LAMP, LIT, MATTE, PAINT, PLATE
 from labelgen.synth.render import Placed, Renderer
 from labelgen.synth.scenes import look_at_road
 from labelgen.synth.shapes import BODY_TYPES
@@ -25,6 +27,7 @@ def test_every_body_has_glass_lamps_and_a_plate(kind: str) -> None:
     skin = make_vehicle(kind, np.random.default_rng(0)).skin
     materials = set(np.unique(skin.image[..., 3]).tolist())
     assert {PAINT, GLASS, PLATE} <= materials
+    assert materials <= {MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT}
     assert materials & {LAMP, LIT}
     assert LIT in np.unique(make_vehicle(kind, np.random.default_rng(0), lamps=True).skin.image[..., 3])
 
@@ -53,6 +56,12 @@ def test_fronts_lie_within_the_face(design: FrontDesign) -> None:
         assert 0 <= t <= 1.2
     lamp = Polygon(design.lamp)
     assert lamp.is_valid
+    for line in (*design.strips, design.amber):
+        assert not line or lamp.buffer(0.03).contains(LineString(line))
+    dark = unary_union([Polygon(design.hollow), *(Polygon(o.half) for o in design.openings)])
+    for y, t, radius in design.fog:
+        assert dark.buffer(0.03).contains(Point(y, t)) or (not design.hollow and t < 0.3)
+        assert 0.02 < radius < 0.08
     for opening in design.openings:
         assert Polygon(opening.half).is_valid
         assert Polygon(opening.half).intersection(lamp).area < 0.03 * lamp.area
@@ -67,6 +76,8 @@ def test_tail_lamps_hold_what_is_in_them(design: TailDesign) -> None:
     assert glass.is_valid
     for field in (design.clear, design.amber):
         assert not field or glass.buffer(0.03).contains(Polygon(field))
+    for strip in design.strips:
+        assert glass.buffer(0.05).contains(LineString(strip))
     for y, down, radius in design.bowls:
         assert glass.contains(Point(y, down))
         assert 0.02 < radius < 0.08
@@ -98,6 +109,50 @@ def test_words_are_as_tall_and_wide_as_said() -> None:
     assert 3.5 - rows.max() / skin.ppm == pytest.approx(2.0, abs=0.06)
     assert columns.min() / skin.ppm == pytest.approx(2.0, abs=0.06)
     assert (np.ptp(columns) + 1) / skin.ppm == pytest.approx(wide, abs=0.1)
+
+
+def test_letters_are_of_their_own_material_alone() -> None:
+    skin = Skin((8.0, 2.5, 3.5))
+    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    skin.text(Chart.SIDE, (2.0, 2.0), "CARGO", 0.4, (0.1, 0.0, 0.0), LAMP)
+    side = skin.image[: round(3.5 * skin.ppm)]
+    assert set(np.unique(side[..., 3]).tolist()) == {PAINT, LAMP}
+    assert len(np.unique(side[..., 0])) == 2
+
+
+@pytest.mark.parametrize("first", [1.9, 3.4, 4.9])
+def test_names_on_vans_begin_behind_the_windows(first: float) -> None:
+    """And there are none where too little of the side is left."""
+    shape = BODY_TYPES["van"]
+    for seed in range(12):
+        skin = Skin((shape.length, shape.width, shape.height))
+        for chart in (Chart.SIDE, Chart.REAR):
+            skin.fill(chart, (0.5, 0.5, 0.5), PAINT)
+        plain = skin.image.copy()
+        skin = Skin((shape.length, shape.width, shape.height))
+        for chart in (Chart.SIDE, Chart.REAR):
+            skin.fill(chart, (0.5, 0.5, 0.5), PAINT)
+        letter_van(skin, shape, first, np.random.default_rng(seed))
+        side = slice(0, round(shape.height * skin.ppm))
+        changed = np.flatnonzero((skin.image != plain)[side].any(axis=(0, 2)))
+        if first > shape.length - 1.0:
+            assert not len(changed)
+        else:
+            assert len(changed)
+            assert changed.min() / skin.ppm > first - 0.05
+
+
+def test_weather_takes_light_from_paint_alone_and_nowhere_adds_any() -> None:
+    skins = [Skin((4.0, 2.0, 1.5)) for _ in range(2)]
+    for skin in skins:
+        skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+        skin.rectangle(Chart.SIDE, (1.0, 0.5), (2.0, 1.0), (0.5, 0.5, 0.5), GLASS)
+    skins[1].weather(Chart.SIDE, 0.4, 0.2, np.random.default_rng(0))
+    before, after = (skin.image[: round(1.5 * skin.ppm), : round(4.0 * skin.ppm)] for skin in skins)
+    paint = before[..., 3] == PAINT
+    assert np.array_equal(before[~paint], after[~paint])
+    assert (after[paint][:, :3] <= before[paint][:, :3]).all()
+    assert after[paint][:, 0].std() > 3
 
 
 def test_drawings_seen_foreshortened_are_softened_along_the_road_alone() -> None:
