@@ -110,6 +110,11 @@ def _stations(shape: Shape) -> NDArray[np.float64]:
     return np.asarray(ordered[np.r_[True, np.diff(ordered) > 0.012]])
 
 
+def _sections(columns: list[tuple[Any, Any]]) -> NDArray[np.float64]:
+    """(S, K, 2) sections for `loft` from K lines along the body, each y and z at S stations."""
+    return np.stack([np.stack(column, axis=1) for column in columns], axis=1)
+
+
 def _shell(shape: Shape) -> Mesh:
     d = _stations(shape)
     z_top = np.interp(d, *top_line(shape))
@@ -140,8 +145,7 @@ def _shell(shape: Shape) -> Mesh:
         (0.5 * inner, z_top - 0.12 * crown),
         (np.zeros_like(d), z_top),
     ]
-    sections = np.stack([np.stack(c, axis=1) for c in columns], axis=1)
-    return _drawings_of_ends(shape, loft(shape.length / 2 - d, sections, bow=_bow(shape, d)))
+    return _drawings_of_ends(shape, loft(shape.length / 2 - d, _sections(columns), bow=_bow(shape, d)))
 
 
 def _drawings_of_ends(shape: Shape, shell: Mesh) -> Mesh:
@@ -164,6 +168,7 @@ def _drawings_of_ends(shape: Shape, shell: Mesh) -> Mesh:
         here = (d > first) & (d < last) & (middles[:, 2] > shape.belt) & (charts != Chart.SIDE) & (normals[:, 2] > -0.1)
         charts[here] = end if steep else Chart.TOP
     facing = np.abs(normals[:, 0]) > _AROUND_CORNERS
+    # Not cabs over their engines, whose screens begin before that.
     if shape.cowl[0] > END_M:
         charts[facing & (d < END_M)] = Chart.FRONT
     if shape.cargo is None:
@@ -220,8 +225,7 @@ def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
         wide = np.full_like(d, 0.86 * half)
         foot, none = np.full_like(d, roof - 0.1), np.zeros_like(d)
         columns = [(none, foot), (wide, foot), (wide, top - 0.06), (wide - 0.1, top), (none, top)]
-        sections = np.stack([np.stack(column, axis=1) for column in columns], axis=1)
-        parts.append(loft(middle - d, sections))
+        parts.append(loft(middle - d, _sections(columns)))
     return parts
 
 
@@ -233,7 +237,7 @@ def _roof_unit(shape: Shape, place: tuple[float, float, float, float]) -> Mesh:
     top = foot + 0.06 + tall * np.array([0.3, 0.75, 1.0, 1.0, 0.75, 0.3])
     half, none = np.full_like(d, wide / 2), np.zeros_like(d)
     columns = [(none, foot), (half, foot), (half, top - 0.35 * tall), (0.88 * half, top - 0.05 * tall), (none, top)]
-    return loft(shape.length / 2 - d, np.stack([np.stack(column, axis=1) for column in columns], axis=1))
+    return loft(shape.length / 2 - d, _sections(columns))
 
 
 def body_mesh(shape: Shape) -> Mesh:

@@ -1,4 +1,4 @@
-"""What vehicles have in common: style, plates, wheels and windows."""
+"""What vehicles have in common: style, plates, wheels, windows and what lamps are made of."""
 
 from __future__ import annotations
 

@@ -68,10 +68,14 @@ def draw_cargo(
             skin.rectangle(Chart.REAR, (-half + 0.1, z0), (half - 0.1, z1), (0.24, 0.04, 0.035), PAINT)
     _grime(skin, shape, rng)
     worn = rng.uniform(0.08, 0.4)
-    for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT):
-        skin.weather(chart, worn, 0.5 * worn, rng)
+    _weather_walls(skin, worn, rng)
     skin.weather(Chart.TOP, 0.0, worn, rng)
     plate(skin, Chart.REAR, (0, 0.55), style.plate, rng)
+
+
+def _weather_walls(skin: Skin, worn: float, rng: np.random.Generator) -> None:
+    for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT):
+        skin.weather(chart, worn, 0.5 * worn, rng)
 
 
 def _stains(skin: Skin, ends: tuple[float, float], half: float, rng: np.random.Generator) -> None:
@@ -163,9 +167,7 @@ def draw_bus(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.rand
             skin.polygon(Chart.SIDE, ring, (0.02, 0.022, 0.023), GLASS)
             skin.fade(Chart.SIDE, ring, (0.12, 0.135, 0.15), (0.5, 0.05))
     _sign(skin, Chart.FRONT, 0.0, shape.height - 0.40, 0.66, rng)
-    worn = rng.uniform(0.05, 0.25)
-    for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT):
-        skin.weather(chart, worn, 0.5 * worn, rng)
+    _weather_walls(skin, rng.uniform(0.05, 0.25), rng)
     _bus_roof(skin, shape, paint, rng)
 
 

@@ -34,7 +34,10 @@ from labelgen.synth.skin import Colour, Skin, dim, rounded
 __all__ = ["draw_front"]
 
 _REFLECTOR: Colour = (0.55, 0.56, 0.57)
+_GAP: Colour = (0.012, 0.012, 0.013)
+"""The dark line between a lamp and the paint."""
 _PALE = 0.3
+"""Mean albedo from which paint counts as pale."""
 Points = Sequence[tuple[float, float]]
 
 
@@ -230,7 +233,7 @@ def _head_lamps(
             lit: tuple[Colour, int] = (dim(GLOW, 0.75), LIT) if day_light else (dim(silver, 1.1), LAMP)
             skin.line(Chart.FRONT, face.at(strip, side), *lit, width=0.016)
         skin.fade(Chart.FRONT, smooth, SKY, (sky, 0.0))
-        skin.line(Chart.FRONT, closed, (0.012, 0.012, 0.013), LAMP, 0.012)
+        skin.line(Chart.FRONT, closed, _GAP, LAMP, 0.012)
         skin.bow(Chart.FRONT, smooth, (0.8, 1.0), (0.0, 0.30))
         skin.emboss(Chart.FRONT, smooth, 0.006)
         _wing_part(skin, shape, face, side, design, housing)
@@ -243,7 +246,7 @@ def _wing_part(skin: Skin, shape: Shape, face: _Face, side: int, design: FrontDe
     back = np.array([-0.01, -0.02, 0.6 * design.sweep, 0.35 * design.sweep])
     on_top = np.stack([END_M + setback(shape, END_M, ys) + back, side * ys], axis=1)
     smooth = rounded(on_top, 0.08)
-    skin.polygon(Chart.TOP, smooth, (0.012, 0.012, 0.013), LAMP)
+    skin.polygon(Chart.TOP, smooth, _GAP, LAMP)
     middle = on_top.mean(axis=0)
     skin.polygon(Chart.TOP, middle + 0.8 * (smooth - middle), dim(housing, 0.8), LAMP)
     if side > 0:
@@ -257,4 +260,4 @@ def _wing_part(skin: Skin, shape: Shape, face: _Face, side: int, design: FrontDe
             (start + 0.14, face.z(low) + 0.03),
         ]
         skin.polygon(Chart.SIDE, ring, dim(housing, 0.9), LAMP)
-        skin.line(Chart.SIDE, [*ring, ring[0]], (0.012, 0.012, 0.013), LAMP, 0.012)
+        skin.line(Chart.SIDE, [*ring, ring[0]], _GAP, LAMP, 0.012)

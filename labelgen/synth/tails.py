@@ -1,4 +1,4 @@
-"""Tails of cars and vans: rear windows, lids and doors, lamps, bumpers, in several families each."""
+"""Tails of cars and vans: rear windows, lids and doors, bumpers; lamps after `tail_designs`."""
 
 from __future__ import annotations
 
