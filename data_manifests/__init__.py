@@ -1,1 +1,1 @@
-"""Data manifests, read by `labelgen.manifest`: one TOML per data set."""
+"""Data manifests, read by `labelgen.datasets.manifest`: one TOML per data set."""

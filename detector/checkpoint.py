@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from detector.model import CcRetinaNet, ModelConfig, build_model
+from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
 from labelgen import __version__
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Region
@@ -33,7 +33,7 @@ class Card:
         pair, size_wh: rectification of the pictures it takes.
         config: shape of the network.
         min_height_px: lowest label it was trained on.
-        labels: one dict per set of shards, see `detector.data.label_provenance`.
+        labels: one dict per set of shards, see `detector.data.dataset.label_provenance`.
         training: settings that decide the result: seed, batch, steps and so on.
         producer: version that trained it.
     """
@@ -122,7 +122,7 @@ def load_detector(path: Path, **options: Any) -> tuple[CcRetinaNet, Card]:
 
     Args:
         path: checkpoint.
-        options: of `detector.model.build_model`, for instance `score_thresh`.
+        options: of `detector.model.retinanet.build_model`, for instance `score_thresh`.
 
     Raises:
         DataError: not a checkpoint of a detector.

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.errors import DataError
-from labelgen.geometry.box3d import decode_boxes, reorder_vertices
+from labelgen.geometry.box_codec import decode_boxes, reorder_vertices
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.projective import Array
+from labelgen.geometry.homography import Array
 from labelgen.geometry.rectification import Rectification
 
 __all__ = ["Flag", "Labels", "Sample", "Split", "VehicleClass"]

@@ -27,9 +27,8 @@ def labelgen(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run the `labelgen` command in a process of its own, in the test's folder."""
 
     def run(*arguments: object, timeout: float = 200, **env: str) -> subprocess.CompletedProcess[str]:
-        code = "from labelgen.cli import main; main()"
         return subprocess.run(
-            [sys.executable, "-c", code, *map(str, arguments)],
+            [sys.executable, "-m", "labelgen", *map(str, arguments)],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(REPOSITORY), **env},
             capture_output=True,

@@ -6,7 +6,7 @@ Convention, throughout:
     VP1: direction of travel; VP2: across the road; VP3: vertical; VPU: the one a rectification leaves finite.
 """
 
-from labelgen.geometry.box3d import (
+from labelgen.geometry.box_codec import (
     EncodedBoxes,
     decode_boxes,
     encode_boxes,
@@ -15,8 +15,7 @@ from labelgen.geometry.box3d import (
 )
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.cuboid import cuboid_sizes, road_cuboids
-from labelgen.geometry.hull import RoadMask
-from labelgen.geometry.mask_label import (
+from labelgen.geometry.outline_label import (
     MaskLabels,
     Outline,
     Rule,
@@ -25,9 +24,10 @@ from labelgen.geometry.mask_label import (
     mask_polygon,
     rectified_outline,
 )
-from labelgen.geometry.pairs import Pair, Region, parse_size
 from labelgen.geometry.rectification import Rectification, rectify_windows
+from labelgen.geometry.road_mask import RoadMask
 from labelgen.geometry.tangent_box import tangent_boxes, window_around
+from labelgen.geometry.vanishing_pair import Pair, Region, parse_size
 
 __all__ = [
     "Camera",

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labelgen.errors import CalibrationError
-from labelgen.geometry.projective import Array
+from labelgen.geometry.homography import Array
 
 __all__ = ["PLANE_OFFSET", "Camera"]
 

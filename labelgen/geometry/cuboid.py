@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.projective import Array
+from labelgen.geometry.homography import Array
 
 __all__ = ["cuboid_sizes", "road_cuboids"]
 

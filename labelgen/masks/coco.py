@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
+from labelgen.masks.coco_segmentation import check_segmentation, decode_segmentation
 from labelgen.masks.instances import InstanceMasks
-from labelgen.masks.segmentation import check_segmentation, decode_segmentation
 
 __all__ = ["CLASS_BY_COCO_ID", "CLASS_BY_NAME", "CocoMasks"]
 

@@ -7,7 +7,7 @@ from itertools import takewhile
 
 from labelgen.masks.instances import InstanceMasks
 from labelgen.masks.source import MaskSource
-from labelgen.sources.frames import Frame, FrameSource
+from labelgen.media.frames import Frame, FrameSource
 
 __all__ = ["masked_frames", "prime_masks"]
 

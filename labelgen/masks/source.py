@@ -99,7 +99,7 @@ def create_mask_source(
 
         return CocoMasks(argument, score_threshold=score_threshold, frame_wh=frame_wh)
     if name == "background" and not argument:
-        from labelgen.masks.background import BackgroundMasks
+        from labelgen.masks.background.source import BackgroundMasks
 
         return BackgroundMasks(road_mask=road_mask, score_threshold=score_threshold)
     if name == "maskrcnn" and not argument:

@@ -1,6 +1,6 @@
 """The HDF5 shard format: schema, writer, reader, index, validation and merging. The only room that knows h5py."""
 
-from labelgen.shards.collection import ShardSet, find_shards
+from labelgen.shards.dataset import ShardSet, find_shards
 from labelgen.shards.index import DatasetSummary, read_index, summarise, write_index
 from labelgen.shards.merge import merge_shards
 from labelgen.shards.reader import ShardReader

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.errors import DataError
-from labelgen.files import make_folder, write_atomic
-from labelgen.shards.collection import find_shards
+from labelgen.shards.dataset import find_shards
 from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, summarise, write_index
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.schema import HASH_ATTRIBUTE

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.pairs import Pair, parse_size
 from labelgen.geometry.rectification import Rectification
+from labelgen.geometry.vanishing_pair import Pair, parse_size
 from labelgen.labels import Labels, Sample, Split
 from labelgen.shards.byte_strip import ByteStrip
 from labelgen.shards.rejects import Reject, from_json_lines

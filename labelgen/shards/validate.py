@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError
-from labelgen.geometry.box3d import decode_boxes
+from labelgen.geometry.box_codec import decode_boxes
 from labelgen.labels import Flag, Split, VehicleClass
-from labelgen.shards.collection import find_shards
+from labelgen.shards.dataset import find_shards
 from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, build_index, file_hash, read_index
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.schema import FIELDS, HASH_ATTRIBUTE, TEXT, content_hash

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from labelgen.geometry import Camera
-from labelgen.sources.frames import Frame, always
-from labelgen.synth.scenes import look_at_road
+from labelgen.media.frames import Frame, always
+from labelgen.synth.scene.scene import look_at_road
 
 SIZE = (640, 360)
 FPS = 15.0
@@ -72,7 +72,7 @@ def traffic(seconds: float, lanes: Sequence[tuple[float, float]], every_s: float
 
 @dataclass
 class DrawnVideo:
-    """A `labelgen.sources.frames.FrameSource` that draws its frames."""
+    """A `labelgen.media.frames.FrameSource` that draws its frames."""
 
     movers: Sequence[Mover]
     seconds: float

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from detector.score.groundtruth import GroundTruth, parse_ground_truth
-from detector.score.tracks import Tracks
+from detector.tracking.tracks import Tracks
+from labelgen.datasets.brnocompspeed import GroundTruth, parse_ground_truth
 from labelgen.geometry import Camera
 
 FPS = 50.0

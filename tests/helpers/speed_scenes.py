@@ -12,10 +12,10 @@ import av
 import cv2
 import numpy as np
 
-from detector.detections import Detections
-from detector.variants import Variant, View
+from detector.speed.detections import Detections
+from detector.speed.measurement import Variant, View
 from labelgen.geometry import Camera, Pair, RoadMask, encode_boxes, road_cuboids
-from labelgen.geometry.projective import bounding_boxes
+from labelgen.geometry.homography import bounding_boxes
 
 FRAME_WH = (640, 360)
 SIZES = {Pair.VP2_VP3: (640, 360), Pair.VP1_VP2: (360, 640)}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labelgen.geometry import Pair, Rectification, Rule, decode_boxes, encode_boxes, reorder_vertices, road_cuboids
-from tools.label_accuracy import MEDIAN_BOUND, P99_BOUND, Scene, load_scenes, measure_scenes
+from tools.studies.cuboid_labels import MEDIAN_BOUND, P99_BOUND, Scene, load_scenes, measure_scenes
 
 REAL = os.environ.get("LABELGEN_REAL_DATA")
 pytestmark = pytest.mark.skipif(not REAL, reason="LABELGEN_REAL_DATA is not set: the folder with the real recordings")

@@ -1,0 +1,254 @@
+"""The public BrnoCompSpeed evaluation protocol (median mode), over all tracks of a recording at once.
+
+Source: Sochor et al., "Comprehensive Data Set for Automatic Single Camera Visual Speed Measurement", IEEE T-ITS 2018,
+and its public evaluation script, whose numbers this module returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.tracking.per_track import IntArray, gap_speeds_kmh, nearest_rows
+from detector.tracking.tracks import Tracks
+from labelgen.datasets.brnocompspeed import GroundTruth
+from labelgen.geometry import Camera
+from labelgen.geometry.homography import Array, translation
+
+__all__ = ["Crossings", "RecordingScore", "lanes_of", "line_crossings", "prefilter", "score_recording"]
+
+FRAME_WH = (1920, 1080)
+BORDER_PX = 10
+MATCH_WINDOW_S = 0.2
+_FIT_POINTS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingScore:
+    """What one system reached on one recording; G ground-truth cars, S surveyed segments.
+
+    Args:
+        truth_kmh: (G,) true speeds.
+        valid: (G,) whether the ground-truth car counts.
+        matched: (G,) whether a track was found for it.
+        counted: (G,) whose speed errors count: the matched, valid ones, or fewer of them.
+        speeds_kmh: (G,) measured speed of that track; NaN where there is none.
+        false_positives: tracks without a ground-truth car, `intersection_failures` among them.
+        intersection_failures: tracks whose crossings or speed could not be determined.
+        ratio_errors: (S (S - 1) / 2,) |image ratio - true ratio| over all pairs of surveyed segments.
+        ratio_errors_relative: the same in percent of the true ratio.
+        distance_errors_m: (S,) |measured - true| length of the surveyed segments.
+        distance_errors_relative: the same in percent.
+        tracks_read: cars in the result file.
+        dropped: how many of them the protocol leaves out, by reason.
+    """
+
+    truth_kmh: Array
+    valid: NDArray[np.bool_]
+    matched: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
+    speeds_kmh: Array
+    false_positives: int
+    intersection_failures: int
+    ratio_errors: Array
+    ratio_errors_relative: Array
+    distance_errors_m: Array
+    distance_errors_relative: Array
+    tracks_read: int
+    dropped: dict[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Where and when N tracks cross a line: points (N, 2) px, frames (N,); NaN or infinite where they do not."""
+
+    points_px: Array
+    frames: Array
+
+    @property
+    def finite(self) -> NDArray[np.bool_]:
+        """(N,) whether both place and time are known."""
+        return np.isfinite(self.points_px).all(axis=1) & np.isfinite(self.frames)
+
+
+def _signed(points_px: Array, lines: Array) -> Array:
+    """(P, L) values of homogeneous lines (L, 3) at points (P, 2)."""
+    return points_px[:, :1] * lines[:, 0] + points_px[:, 1:] * lines[:, 1] + lines[:, 2]
+
+
+def _between(first: Array, second: Array, line_a: Array, line_b: Array) -> NDArray[np.bool_]:
+    """Whether points lie between two lines, from their signed values at the points; borders included."""
+    return np.asarray(first * second * (line_a[:2] @ line_b[:2]) <= 0)
+
+
+def lanes_of(points_px: Array, lane_lines: Array) -> IntArray:
+    """(P,) number of the first lane each point lies in, its borders included; -1 for none (also for NaN)."""
+    lane = np.full(len(points_px), -1)
+    values = _signed(points_px, lane_lines)
+    for number in reversed(range(len(lane_lines) - 1)):
+        inside = _between(values[:, number], values[:, number + 1], lane_lines[number], lane_lines[number + 1])
+        lane[inside] = number
+    return lane
+
+
+def _inside_frame(points_px: Array) -> NDArray[np.bool_]:
+    inside = (points_px > BORDER_PX) & (points_px < np.array(FRAME_WH) - BORDER_PX)
+    return inside[:, 0] & inside[:, 1]
+
+
+def prefilter(tracks: Tracks, truth: GroundTruth) -> Tracks:
+    """The tracks the protocol counts, without their points near the frame's border."""
+    if not len(tracks):
+        return tracks
+    first_seen_s = tracks.frames[tracks.offsets[:-1]] / truth.fps
+    tracks = tracks.keep_tracks(first_seen_s < truth.last_times_s.max(), "after the ground truth")
+    tracks = tracks.keep_points(_inside_frame(tracks.points_px))
+    tracks = tracks.keep_tracks(tracks.lengths >= _FIT_POINTS, "too few points")
+
+    lane = lanes_of(tracks.points_px, truth.lane_lines)
+    tracks = tracks.keep_tracks(tracks.count(lane < 0) == 0, "outside the lanes")
+    if truth.invalid_lanes:
+        lane = lanes_of(tracks.points_px, truth.lane_lines)
+        tracks = tracks.keep_tracks(tracks.count(np.isin(lane, list(truth.invalid_lanes))) == 0, "in an invalid lane")
+
+    ends = truth.measurement_lines[[0, -1]]
+    values = _signed(tracks.points_px, ends)
+    measured = tracks.count(_between(values[:, 0], values[:, 1], ends[0], ends[1]))
+    return tracks.keep_tracks(measured >= _FIT_POINTS, "not between the measurement lines")
+
+
+def _fit(x: Array, y: Array) -> tuple[Array, Array]:
+    """Least-squares lines y = slope x + intercept along the last axis; NaN where all x are the same."""
+    centre_x, centre_y = x.mean(axis=-1), y.mean(axis=-1)
+    dx, dy = x - centre_x[..., None], y - centre_y[..., None]
+    spread = np.where(np.ptp(x, axis=-1) > 0, (dx * dx).sum(axis=-1), np.nan)
+    slope = (dx * dy).sum(axis=-1) / spread
+    return slope, centre_y - slope * centre_x
+
+
+def line_crossings(tracks: Tracks, line: Array) -> Crossings:
+    """Where and when tracks cross a line, from the points nearest to it.
+
+    Args:
+        tracks: each of at least 6 points.
+        line: (3,) homogeneous.
+    """
+    distances = np.abs(_signed(tracks.points_px, line[None])[:, 0]) / np.linalg.norm(line[:2])
+    rows = nearest_rows(distances, tracks.offsets, _FIT_POINTS)
+    x, y = tracks.points_px[rows, 0], tracks.points_px[rows, 1]
+    slope, intercept = _fit(x, y)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        scale = slope * line[1] + line[0]
+        place = np.stack([-line[2] - intercept * line[1], intercept * line[0] - slope * line[2]]) / scale
+        # The protocol measures along the fitted line, unsigned, from where that line meets y = 0.
+        start, length = -intercept / slope, np.hypot(1.0, slope)
+        along = np.abs(x - start[:, None] + slope[:, None] * y) / length[:, None]
+        rate, offset = _fit(along, tracks.frames[rows])
+        frames = rate * np.hypot(place[0] - start, place[1]) + offset
+    return Crossings(place.T, frames)
+
+
+def _road_matrix(camera: Camera) -> Array:
+    """(3, 3) homography from frame px to road metres.
+
+    `Camera.road_points` refuses pixels beyond the horizon; the protocol gives them the mirrored point behind the
+    camera, and a bad calibration must be scored by its rules too.
+    """
+    height = camera.height_m
+    rays = camera.axes @ np.diag([1.0, 1.0, camera.focal]) @ translation(*-camera.pp)
+    return np.diag([height, height, -1.0]) @ rays
+
+
+def _road_points(camera: Camera, points_px: Array) -> Array:
+    """(P, 2) metres on the road. Without a matrix product: NumPy would start threads for so thin a one."""
+    mapped = _signed(points_px, _road_matrix(camera))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        metres: Array = mapped[:, :2] / mapped[:, 2:]
+    return metres
+
+
+def _match(truth: GroundTruth, times_s: Array, lanes: IntArray) -> IntArray:
+    """(G,) for each ground-truth car the track in its lanes that crosses last at the nearest time; -1 for none."""
+    best = np.full(len(truth), -1)
+    best_gap = np.full(len(truth), np.inf)
+    for lane in range(truth.in_lane.shape[1]):
+        in_lane = np.flatnonzero(lanes == lane)
+        if not len(in_lane):
+            continue
+        # Of tracks with one and the same time the first in the file counts.
+        times, first = np.unique(times_s[in_lane], return_index=True)
+        after = np.searchsorted(times, truth.last_times_s)
+        for neighbour in (after - 1, after):
+            track = in_lane[first[neighbour.clip(0, len(times) - 1)]]
+            gap = np.abs(times_s[track] - truth.last_times_s)
+            closer = (gap < best_gap) | ((gap == best_gap) & (track < best))
+            closer &= truth.in_lane[:, lane]
+            best = np.where(closer, track, best)
+            best_gap = np.where(closer, gap, best_gap)
+    return np.where(best_gap < MATCH_WINDOW_S, best, -1)
+
+
+def _count_unmatched(truth: GroundTruth, times_s: Array, ids: list[Hashable], match: IntArray) -> int:
+    """Tracks within the ground truth's time whose name no match bears."""
+    seen = {ids[track] for track in match[match >= 0]}
+    known = np.array([name in seen for name in ids], dtype=np.bool_)
+    times = truth.last_times_s
+    return int(np.count_nonzero((times_s >= times.min()) & (times_s < times.max()) & ~known))
+
+
+def _calibration_errors(truth: GroundTruth, camera: Camera) -> tuple[Array, Array, Array, Array]:
+    ends = _road_points(camera, truth.segments_px.reshape(-1, 2)).reshape(-1, 2, 2)
+    lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1)
+    distance = np.abs(lengths - truth.segments_m)
+    first, second = np.triu_indices(len(lengths), k=1)
+    true_ratio = truth.segments_m[first] / truth.segments_m[second]
+    ratio = np.abs(lengths[first] / lengths[second] - true_ratio)
+    return ratio, ratio / true_ratio * 100, distance, distance / truth.segments_m * 100
+
+
+def score_recording(truth: GroundTruth, tracks: Tracks, camera: Camera) -> RecordingScore:
+    """Score the tracks of one recording.
+
+    Args:
+        truth: of the recording.
+        tracks: as read from the result file.
+        camera: the calibration to measure with; it needs a scale.
+
+    Raises:
+        CalibrationError: the camera has no scale.
+    """
+    tracks_read = len(tracks) + sum(tracks.dropped.values())
+    tracks = prefilter(tracks, truth)
+    last, first = (line_crossings(tracks, truth.measurement_lines[number]) for number in (0, -1))
+    lanes = lanes_of(last.points_px, truth.lane_lines)
+    known = last.finite & first.finite & (lanes >= 0) & (lanes_of(first.points_px, truth.lane_lines) >= 0)
+    speeds = gap_speeds_kmh(_road_points(camera, tracks.points_px), tracks.frames / truth.fps, tracks.offsets)
+    known &= np.isfinite(speeds)
+
+    chosen = np.flatnonzero(known)
+    times_s = last.frames[chosen] / truth.fps
+    match = _match(truth, times_s, lanes[chosen])
+    failures = len(tracks) - len(chosen)
+    unmatched = _count_unmatched(truth, times_s, [tracks.ids[i] for i in chosen], match)
+    matched = match >= 0
+    measured = np.full(len(truth), np.nan)
+    measured[matched] = speeds[chosen[match[matched]]]
+    ratio, ratio_relative, distance, distance_relative = _calibration_errors(truth, camera)
+    return RecordingScore(
+        truth_kmh=truth.speeds_kmh,
+        valid=truth.valid,
+        matched=matched,
+        counted=matched & truth.valid,
+        speeds_kmh=measured,
+        false_positives=unmatched + failures,
+        intersection_failures=failures,
+        ratio_errors=ratio,
+        ratio_errors_relative=ratio_relative,
+        distance_errors_m=distance,
+        distance_errors_relative=distance_relative,
+        tracks_read=tracks_read,
+        dropped=dict(tracks.dropped),
+    )

@@ -1,0 +1,151 @@
+"""Which recordings and result files a BrnoCompSpeed folder holds, and scoring them.
+
+Layout: DATASET/sessionN_{left,center,right}/gt_data.pkl and RESULTS/sessionN_.../system_NAME.json.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from detector.evaluation.brnocompspeed import RecordingScore, score_recording
+from detector.tracking.tracks import ResultFile, read_results
+from labelgen.datasets.brnocompspeed import GroundTruth, read_ground_truth
+from labelgen.datasets.manifest import load_manifest
+from labelgen.errors import DataError
+from labelgen.geometry import Camera
+
+__all__ = [
+    "OWN_CALIBRATION",
+    "ScoredResult",
+    "result_file_name",
+    "score_results",
+    "select_recordings",
+    "split_c_test",
+]
+
+OWN_CALIBRATION = "own"
+_SIDES = ("left", "center", "right")
+_GROUND_TRUTH = "gt_data.pkl"
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredResult:
+    """The score of one result file: recording and system by name, files as in the results folder."""
+
+    recording: str
+    system: str
+    tracks: str
+    calibration: str
+    score: RecordingScore
+
+
+def result_file_name(system: str) -> str:
+    """system_NAME.json from NAME; the file's own name is taken too."""
+    name = system.removesuffix(".json").removeprefix("system_")
+    return f"system_{name}.json"
+
+
+def _recordings(dataset: Path) -> list[str]:
+    """Names of all recordings in natural order: by session, then left, center, right."""
+    if not dataset.is_dir():
+        raise DataError(f"data set {dataset}: no such folder; --dataset names the one with sessionN_left and so on")
+    names = sorted(path.parent.name for path in dataset.glob(f"*/{_GROUND_TRUTH}"))
+    if not names:
+        inner = dataset / "dataset"
+        hint = f"; did you mean --dataset {inner}?" if any(inner.glob(f"*/{_GROUND_TRUTH}")) else ""
+        raise DataError(f"data set {dataset}: no folder with a {_GROUND_TRUTH} in it{hint}")
+    return sorted(names, key=_natural)
+
+
+def _natural(name: str) -> tuple[int, int, str]:
+    match = re.fullmatch(r"session(\d+)_(left|center|right)", name)
+    return (int(match[1]), _SIDES.index(match[2]), name) if match else (10**6, 0, name)
+
+
+def select_recordings(dataset: str | Path, choice: str) -> list[str]:
+    """The recordings to score.
+
+    Args:
+        dataset: folder with one folder per recording.
+        choice: "all", "split-C" (of its test recordings those that are there), or names with commas between.
+
+    Raises:
+        DataError: no such folder, unknown recording, or nothing left to score.
+    """
+    dataset = Path(dataset)
+    present = _recordings(dataset)
+    if choice == "all":
+        return present
+    if choice.lower() == "split-c":
+        test = split_c_test()
+        chosen = [name for name in present if name in test]
+        if not chosen:
+            raise DataError(f"data set {dataset}: none of split C's test recordings in it; try --recordings all")
+        return chosen
+    chosen = [name.strip() for name in choice.split(",") if name.strip()]
+    unknown = [name for name in chosen if name not in present]
+    if unknown or not chosen:
+        raise DataError(
+            f"data set {dataset}: no recording {', '.join(unknown) or repr(choice)} with a {_GROUND_TRUTH}; "
+            f"there are {', '.join(present)}"
+        )
+    return list(dict.fromkeys(chosen))
+
+
+def split_c_test() -> list[str]:
+    """Names of the published split's nine test recordings."""
+    sessions = load_manifest("brnocompspeed")["splits"]["C"]["test"]
+    return [f"{session}_{side}" for session in sessions for side in _SIDES]
+
+
+def _check_files(results: Path, recordings: Sequence[str], names: Sequence[str]) -> None:
+    """All result files are looked for before the first one is scored."""
+    if not results.is_dir():
+        raise DataError(f"results {results}: no such folder; --results names the one with sessionN_left and so on")
+    missing = [results / recording / name for recording in recordings for name in names]
+    missing = [path for path in missing if not path.is_file()]
+    if missing:
+        whole = [r for r in recordings if all((results / r / name).is_file() for name in names)]
+        mend = f"all are there for --recordings {','.join(whole)}" if whole else "check --results and --system"
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise DataError(f"results {missing[0]}: no such file{more}; {mend}")
+
+
+def score_results(
+    dataset: str | Path,
+    results: str | Path,
+    recordings: Sequence[str],
+    systems: Sequence[str],
+    calibration: str = OWN_CALIBRATION,
+) -> Iterator[ScoredResult]:
+    """Score systems on recordings, one after the other; a recording's systems follow each other.
+
+    Args:
+        dataset: folder of the recordings.
+        results: folder of the result files.
+        recordings: names, as `select_recordings` gives them.
+        systems: names of the systems.
+        calibration: whose calibration to measure with; "own" takes that of each track file.
+
+    Raises:
+        DataError: a file is missing or not of its format.
+        CalibrationError: a calibration is missing or describes no camera.
+    """
+    results = Path(results)
+    names = [result_file_name(system) for system in systems]
+    own = calibration == OWN_CALIBRATION
+    other = OWN_CALIBRATION if own else result_file_name(calibration)
+    _check_files(results, recordings, names if own else [*names, other])
+    for recording in recordings:
+        truth = read_ground_truth(Path(dataset) / recording / _GROUND_TRUTH)
+        camera = None if own else Camera.load(results / recording / other)
+        for system, name in zip(systems, names, strict=True):
+            result = read_results(results / recording / name)
+            yield ScoredResult(recording, system, name, other, _score(truth, result, camera))
+
+
+def _score(truth: GroundTruth, result: ResultFile, camera: Camera | None) -> RecordingScore:
+    return score_recording(truth, result.tracks, camera or result.camera())

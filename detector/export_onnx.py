@@ -1,0 +1,176 @@
+"""The detector for other runtimes, as ONNX.
+
+Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the card's size. Outputs `boxes` (N, 4) px,
+`scores` (N,), `cc` (N,), best first, non-maximum suppression done; `sizes` (N, 2) from models that say them, to be
+merged with c_c and boxes as `detector.model.vehicle_size` does. The card lies in the file's metadata.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torchvision.models.detection.image_list import ImageList
+from torchvision.ops import clip_boxes_to_image, nms
+
+from detector.checkpoint import CARD_KEY, Card, load_detector
+from detector.inference import fold_batch_norm
+from detector.model.retinanet import CcRetinaNet
+from labelgen.atomic_files import write_atomic
+from labelgen.errors import LabelgenError
+
+__all__ = ["FixedSizeDetector", "Parity", "check_onnx", "export_onnx"]
+
+_HINT = "exporting needs ONNX: pip install 'labelgen[export]'"
+
+
+class FixedSizeDetector(nn.Module):
+    """The model for one picture of one size: fixed numbers of candidates, so that nothing depends on the data but NMS.
+
+    Args:
+        model: trained.
+        size_wh: of the pictures, px.
+    """
+
+    anchors: Tensor
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, model: CcRetinaNet, size_wh: tuple[int, int]) -> None:
+        super().__init__()
+        self.model, self._size_hw = model.eval(), (size_wh[1], size_wh[0])
+        with torch.no_grad():
+            images, _ = model.transform([torch.zeros(3, *self._size_hw)])
+            features = list(model.backbone(images.tensors).values())
+            (anchors,) = model.anchor_generator(ImageList(images.tensors, [self._size_hw]), features)
+        per_cell = model.anchor_generator.num_anchors_per_location()[0]
+        self._levels = [f.shape[-1] * f.shape[-2] * per_cell for f in features]
+        self._padding = (images.tensors.shape[-1] - size_wh[0], images.tensors.shape[-2] - size_wh[1])
+        self.register_buffer("anchors", anchors)
+        mean, std = model.transform.image_mean, model.transform.image_std
+        self.register_buffer("mean", torch.tensor(mean)[:, None, None])
+        self.register_buffer("std", torch.tensor(std)[:, None, None])
+
+    @property
+    def output_names(self) -> list[str]:
+        """What `forward` returns."""
+        return ["boxes", "scores", "cc", *(["sizes"] if self.model.head.regression_head.values > 1 else [])]
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Picture (3, H, W) -> boxes (N, 4), scores (N,), c_c (N,), where there are any sizes (N, 2)."""
+        model = self.model
+        padded = nn.functional.pad((image - self.mean) / self.std, (0, self._padding[0], 0, self._padding[1]))
+        outputs = model.head(list(model.backbone(padded[None]).values()))
+        parts = []
+        start = 0
+        for count in self._levels:
+            stop = start + count
+            scores, index = torch.sigmoid(outputs["cls_logits"][0, start:stop, 0]).topk(
+                min(model.topk_candidates, count)
+            )
+            index = index + start
+            boxes = model.box_coder.decode_single(outputs["bbox_regression"][0][index], self.anchors[index])
+            values = [outputs["cc"][0][index].clamp(0, 1)]
+            values += [outputs["sizes"][0][index]] if "sizes" in outputs else []
+            parts.append((clip_boxes_to_image(boxes, self._size_hw), scores, *values))
+            start = stop
+        boxes, scores, *rest = (torch.cat(part) for part in zip(*parts, strict=True))
+        # A weak box suppresses only weaker ones, so the score threshold may come after.
+        keep = nms(boxes, scores, model.nms_thresh)
+        keep = keep[scores[keep] > model.score_thresh][: model.detections_per_img]
+        return boxes[keep], scores[keep], *(value[keep] for value in rest)
+
+
+def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
+    """Write the detector as ONNX.
+
+    Args:
+        checkpoint: of a training.
+        out: file to write.
+        score: least score of a detection.
+
+    Returns:
+        what the detector is for.
+
+    Raises:
+        LabelgenError: ONNX is not installed.
+        DataError: not a checkpoint of a detector.
+        OutputError: the file cannot be written.
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401  the exporter wants it
+    except ModuleNotFoundError as err:
+        raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
+    model, card = load_detector(checkpoint, score_thresh=score)
+    fold_batch_norm(model)
+    wrapped = FixedSizeDetector(model, card.size_wh).eval()
+    image = torch.rand(3, card.size_wh[1], card.size_wh[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            wrapped, (image,), dynamo=True, input_names=["image"], output_names=wrapped.output_names, verbose=False
+        )
+    assert program is not None
+    proto: Any = program.model_proto
+    proto.metadata_props.append(onnx.StringStringEntryProto(key=CARD_KEY, value=json.dumps(card.to_dict())))
+    write_atomic(out, proto.SerializeToString())
+    return card
+
+
+@dataclass(frozen=True)
+class Parity:
+    """How an exported detector compares with its checkpoint.
+
+    Args:
+        boxes: compared.
+        px, score, cc, sizes: greatest differences.
+    """
+
+    boxes: int
+    px: float
+    score: float
+    cc: float
+    sizes: float
+
+
+def check_onnx(
+    checkpoint: Path, exported: Path, images: Sequence[NDArray[np.float32]], *, score: float = 0.3
+) -> Parity:
+    """Compare the exported detector, on onnxruntime, with its checkpoint on PyTorch.
+
+    Args:
+        checkpoint, exported: the two files.
+        images: pictures (3, H, W) RGB in [0, 1].
+        score: least score, the same that it was exported with.
+
+    Raises:
+        LabelgenError: onnxruntime is not installed, or the two find different numbers of vehicles.
+    """
+    try:
+        import onnxruntime
+    except ModuleNotFoundError as err:
+        raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
+    model, _ = load_detector(checkpoint, score_thresh=score)
+    session = onnxruntime.InferenceSession(exported.read_bytes(), providers=["CPUExecutionProvider"])
+    count, worst = 0, [0.0, 0.0, 0.0, 0.0]
+    for image in images:
+        with torch.inference_mode():
+            (wanted,) = model([torch.from_numpy(image)])
+        found = session.run(None, {"image": image})
+        if len(found[0]) != len(wanted["boxes"]):
+            raise LabelgenError(f"{exported}: it finds {len(found[0])} boxes, the checkpoint {len(wanted['boxes'])}")
+        count += len(found[0])
+        for k, (key, value) in enumerate(zip(("boxes", "scores", "cc", "sizes"), found, strict=False)):
+            worst[k] = max(worst[k], float(np.abs(value - wanted[key].numpy()).max(initial=0.0)))
+    return Parity(count, *worst)

@@ -1,0 +1,181 @@
+"""Reading and writing detections as JSON lines.
+
+    {"format": "labelgen-detections", "version": 1, "variant": "transform3d", "frame_wh": [1920, 1080], "fps": 50.0,
+     "rectification": {"pair": "VP2-VP3", "size": [640, 360], "matrix": [[...], ...], "vpu": [x, y]},
+     "outlines": "body"}
+    {"frame": 0, "time_s": 0.0, "boxes": [[x0, y0, x1, y1], ...], "scores": [...], "classes": [...], "cc": [...]}
+    ...
+
+One line per frame, frames without detections included. Boxes lie in the rectified picture, or in the frame where
+`rectification` is null. `cc` is there for variants that decode it, `vertices` (eight points each, frame px) for all
+that have 3D boxes; a reader needs `vertices` only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may
+be left out, `time_s` may be null or left out where `fps` is given. `outlines`, null where it is left out, says of what
+the outlines are that boxes end with (`detector.speed.near_end.Outline`); null where boxes end as true 3D boxes stand
+on the road.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from detector.speed.detections import Detections
+from detector.speed.measurement import Variant, View
+from detector.speed.near_end import Outline
+from labelgen.errors import DataError, LabelgenError
+from labelgen.geometry import Camera, Pair, Rectification
+
+__all__ = ["DetectionFile", "detections_head"]
+
+_FORMAT, _VERSION = "labelgen-detections", 1
+
+
+def detections_head(view: View, fps: float | None) -> str:
+    """First line of the file."""
+    rectification = view.rectification
+    head = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "variant": str(view.variant),
+        "frame_wh": list(view.frame_wh),
+        "fps": fps,
+        "rectification": None
+        if rectification is None
+        else {
+            "pair": str(rectification.pair),
+            "size": list(rectification.size_wh),
+            "matrix": rectification.matrix.tolist(),
+            "vpu": rectification.vpu.tolist(),
+        },
+        "outlines": None if view.outline is None else view.outline.value,
+    }
+    return json.dumps(head) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionFile:
+    """A file of detections, opened: its head is read, its frames are not.
+
+    Args:
+        path: the file.
+        variant, frame_wh, fps: as the head says.
+        rectification: that of the boxes; None where they lie in the frame.
+        outline: of what the outlines are that boxes end with; None where they do not.
+    """
+
+    path: Path
+    variant: Variant
+    frame_wh: tuple[int, int]
+    fps: float | None
+    rectification: Rectification | None
+    outline: Outline | None
+
+    @classmethod
+    def open(cls, path: Path) -> DetectionFile:
+        """Read the head.
+
+        Raises:
+            DataError: no such file, or not of this format.
+        """
+        try:
+            with path.open(encoding="utf-8") as file:
+                head = _parse(path, 1, file.readline())
+        except OSError as err:
+            raise DataError(f"detections {path}: {err.strerror or err}") from None
+        except UnicodeDecodeError:
+            raise DataError(f"detections {path}: not a text file") from None
+        if head.get("format") != _FORMAT or head.get("version") != _VERSION:
+            raise DataError(
+                f"detections {path}: its first line is not that of a {_FORMAT} file of version {_VERSION}; "
+                "give one that `labelgen speed` wrote"
+            )
+        try:
+            variant = Variant.parse(head["variant"])
+            frame_wh = (int(head["frame_wh"][0]), int(head["frame_wh"][1]))
+            fps = None if head.get("fps") is None else float(head["fps"])
+            if fps is not None and not (math.isfinite(fps) and fps > 0):
+                raise ValueError(f"fps {fps}")
+            rectification = _rectification(head["rectification"], frame_wh)
+            outline = None if head.get("outlines") is None else Outline(head["outlines"])
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError, LabelgenError) as err:
+            raise DataError(f"detections {path}: its first line is damaged ({err})") from None
+        if rectification is None and not variant.in_frame:
+            raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
+        return cls(path, variant, frame_wh, fps, rectification, outline)
+
+    def view(self, camera: Camera) -> View:
+        """The view its boxes lie in, with a camera for metres."""
+        return View(self.variant, camera, self.rectification, self.outline)
+
+    def frames(self, view: View) -> Iterator[Detections]:
+        """The detections, frame by frame.
+
+        Raises:
+            DataError: a line is damaged, or its frame does not follow the one before; names the line.
+        """
+        last = -1
+        with self.path.open(encoding="utf-8") as file:
+            for number, text in enumerate(file, start=1):
+                if number == 1 or not text.strip():
+                    continue
+                line = _parse(self.path, number, text)
+                found = self._detections(view, line, number)
+                if found.frame <= last:
+                    raise DataError(
+                        f"detections {self.path}, line {number}: frame {found.frame} after frame {last}; sort the lines"
+                    )
+                last = found.frame
+                yield found
+
+    def _detections(self, view: View, line: dict[str, Any], number: int) -> Detections:
+        try:
+            frame, time_s, boxes = line["frame"], line.get("time_s"), line["boxes"]
+            if not isinstance(frame, int) or frame < 0:
+                raise ValueError(f"frame {frame!r}")
+            if time_s is None:
+                time_s = frame / self.fps if self.fps else math.nan
+            count = len(boxes)
+            arrays = {key: _array(line, key, count) for key in ("boxes", "cc", "scores", "classes", "vertices")}
+            found, _ = view.place(
+                frame, float(time_s), arrays["boxes"], arrays["cc"], arrays["scores"], arrays["classes"],
+                arrays["vertices"],
+            )  # fmt: skip
+        except (KeyError, TypeError, ValueError) as err:
+            raise DataError(f"detections {self.path}, line {number}: damaged ({err})") from None
+        return found
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {"boxes": (4,), "cc": (), "scores": (), "classes": (), "vertices": (8, 2)}
+
+
+def _array(line: dict[str, Any], key: str, count: int) -> Any:
+    if key not in line:
+        return None
+    array = np.array(line[key], dtype=np.float64)
+    expected = (count, *_SHAPES[key])
+    if array.shape != expected and not (array.size == 0 and count == 0):
+        raise ValueError(f"{key}: expected shape {expected}, got {array.shape}")
+    return array.reshape(expected)
+
+
+def _parse(path: Path, number: int, text: str) -> dict[str, Any]:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as err:
+        raise DataError(f"detections {path}, line {number}: not JSON ({err})") from None
+    if not isinstance(data, dict):
+        raise DataError(f"detections {path}, line {number}: expected a JSON object")
+    return data
+
+
+def _rectification(data: Any, frame_wh: tuple[int, int]) -> Rectification | None:
+    if data is None:
+        return None
+    size = (int(data["size"][0]), int(data["size"][1]))
+    return Rectification(Pair.parse(data["pair"]), size, np.array(data["matrix"]), np.array(data["vpu"]), frame_wh)

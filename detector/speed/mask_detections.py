@@ -1,0 +1,133 @@
+"""Instance masks as a source of detections: what a perfect detector would find, and the way without a trained one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.speed.detections import Detections
+from detector.speed.measurement import Variant, View
+from labelgen.errors import RectificationError
+from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
+from labelgen.labeling.from_masks import LabelLimits, label_masks
+from labelgen.labels import Labels
+from labelgen.masks import InstanceMasks, MaskSource, masked_frames
+from labelgen.media.frames import Frame, FrameSource, always
+
+__all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
+
+SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
+"""Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
+its foot is where it is, and without it a track would break."""
+
+
+class MaskPlacer:
+    """Turns the instance masks of a frame into detections of a view.
+
+    Args:
+        view: where the detections lie.
+        road: vehicles must stand on it.
+        pair: for 3D boxes around outlines, in which windows are rectified; other variants have it in their view.
+        rule: how c_c's two candidates become one.
+        limits: what to refuse.
+
+    Attributes:
+        rejects: how many masks gave no detection, by reason.
+    """
+
+    def __init__(
+        self, view: View, road: RoadMask, pair: Pair, rule: Rule = Rule.WIDER, limits: LabelLimits = SPEED_LIMITS
+    ) -> None:
+        self.view, self.rejects = view, Counter[str]()
+        self._road, self._pair, self._rule, self._limits = road.pixels, pair, rule, limits
+
+    def place(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
+        """The detections of a frame."""
+        if self.view.variant is Variant.ORIG2D:
+            return self._orig2d(frame, time_s, masks)
+        if self.view.variant.from_tangents:
+            return self._tangents(frame, time_s, masks)
+        assert self.view.rectification is not None
+        labels = self._labels(masks, self.view.rectification)
+        found, valid = self.view.place(frame, time_s, labels.boxes_xyxy, labels.cc, labels.scores, labels.class_ids)
+        self._count_invalid(valid)
+        return found
+
+    def _labels(self, masks: InstanceMasks, rectification: Rectification) -> Labels:
+        labels, rejects = label_masks(masks, rectification, self.view.camera, self._road, self._rule, self._limits)
+        self.rejects.update(reason for _, reason, _ in rejects)
+        return labels
+
+    def _count_invalid(self, valid: NDArray[np.bool_]) -> None:
+        if not valid.all():
+            self.rejects["no place on the road"] += int(np.count_nonzero(~valid))
+
+    def _orig2d(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
+        on_road = np.array(
+            [
+                self._road[y : y + crop.shape[0], x : x + crop.shape[1]][crop].mean() >= self._limits.min_on_road
+                for (x, y), crop in zip(masks.origins.tolist(), masks.crops, strict=True)
+            ],
+            dtype=np.bool_,
+        )
+        self.rejects["off the road"] += int(np.count_nonzero(~on_road))
+        found, valid = self.view.place(
+            frame, time_s, masks.boxes_xyxy[on_road], None, masks.scores[on_road], masks.class_ids[on_road]
+        )
+        self._count_invalid(valid)
+        return found
+
+    def _tangents(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
+        """3D boxes from the masks' own windows: nothing is cut at a rectified picture's border, or sampled coarsely."""
+        boxes, vertices, kept = masks.boxes_xyxy, [], []
+        for i in range(len(masks)):
+            single = InstanceMasks(
+                masks.frame_wh, masks.origins[i : i + 1], masks.crops[i : i + 1], masks.class_ids[i : i + 1],
+                masks.scores[i : i + 1],
+            )  # fmt: skip
+            try:
+                rectification = window_around(self.view.camera, boxes[i], self._pair)
+            except RectificationError:
+                self.rejects["window without a rectification"] += 1
+                continue
+            labels = self._labels(single, rectification)
+            if len(labels):
+                decoded, valid = labels.vertices(rectification.vpu)
+                self._count_invalid(valid)
+                if valid[0]:
+                    vertices.append(rectification.points_back(decoded[0]))
+                    kept.append(i)
+        index = np.array(kept, dtype=np.int64)
+        found, valid = self.view.place(
+            frame, time_s, boxes[index], None, masks.scores[index], masks.class_ids[index],
+            np.array(vertices).reshape(-1, 8, 2),
+        )  # fmt: skip
+        self._count_invalid(valid)
+        return found
+
+
+class MaskDetections:
+    """A mask source as a `detector.speed.detection_source.DetectionSource`.
+
+    Args:
+        masks: where masks come from; primed before, where it wants to be.
+        placer: turns them into detections.
+    """
+
+    def __init__(self, masks: MaskSource, placer: MaskPlacer) -> None:
+        self._masks, self._placer = masks, placer
+        self.view, self.rejects = placer.view, placer.rejects
+
+    @property
+    def problems(self) -> list[str]:
+        """What the mask source had to skip so far."""
+        return self._masks.problems
+
+    def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
+        """See `DetectionSource.stream`."""
+        for frame, masks in masked_frames(frames, self._masks, always):
+            if masks is not None:
+                yield frame, self._placer.place(frame.number, frame.time_s, masks)

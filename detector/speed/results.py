@@ -1,0 +1,144 @@
+"""What `labelgen speed` leaves on disk, each vehicle as soon as it has passed.
+
+DIR/NAME/system_VARIANT.json      the public result format: calibration and tracks; `labelgen evaluate` reads it
+DIR/NAME/vehicles_VARIANT.csv     one row per vehicle
+DIR/NAME/detections_VARIANT.jsonl one line per frame (see `detector.speed.detection_file`)
+DIR/NAME/annotated_VARIANT.avi    with --render
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from detector.speed.append_file import RecordFile
+from detector.speed.detection_file import detections_head
+from detector.speed.detections import Detections
+from detector.speed.measurement import View
+from detector.speed.meter import Vehicle
+from labelgen.atomic_files import make_folder
+from labelgen.errors import OutputError
+from labelgen.labels import VehicleClass
+
+__all__ = ["CSV_COLUMNS", "ResultFiles", "ResultWriter"]
+
+CSV_COLUMNS = (
+    "id", "first_s", "last_s", "speed_kmh", "uncertainty_kmh", "length_m", "width_m", "height_m", "direction", "lane",
+    "class", "points", "first_frame", "last_frame", "score",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ResultFiles:
+    """Where the files of one run go."""
+
+    tracks: Path
+    vehicles: Path
+    detections: Path
+    video: Path
+
+    @classmethod
+    def of(cls, out: Path, name: str, variant: str) -> ResultFiles:
+        """The files of a scene and a variant."""
+        folder = out / name
+        return cls(
+            folder / f"system_{variant}.json",
+            folder / f"vehicles_{variant}.csv",
+            folder / f"detections_{variant}.jsonl",
+            folder / f"annotated_{variant}.avi",
+        )
+
+    def prepare(self, *, overwrite: bool) -> None:
+        """Make the folder, and see to it that nothing is replaced unasked.
+
+        Raises:
+            OutputError: a file exists, or the folder cannot be made.
+        """
+        for path in (self.tracks, self.vehicles, self.detections, self.video):
+            if path.exists() and not overwrite:
+                raise OutputError(f"{path}: it exists; add --overwrite or choose another --out")
+        make_folder(self.tracks.parent)
+
+
+class ResultWriter:
+    """Context manager that writes tracks, vehicles and detections as they come.
+
+    Args:
+        files: where to.
+        view: of the detections; its camera is the calibration written beside the tracks.
+        fps: frames per second, where known.
+        keep_detections: whether to write the detections too.
+
+    Raises:
+        OutputError: a file cannot be written; what was finished before is in it.
+    """
+
+    def __init__(self, files: ResultFiles, view: View, fps: float | None, *, keep_detections: bool = True) -> None:
+        calibration = json.dumps(view.camera.to_dict()["camera_calibration"])
+        with ExitStack() as stack:
+            self._tracks = stack.enter_context(
+                RecordFile(
+                    files.tracks, head=f'{{"camera_calibration": {calibration}, "cars": [\n', separator=",\n",
+                    tail="\n]}\n",
+                )
+            )  # fmt: skip
+            self._vehicles = stack.enter_context(RecordFile(files.vehicles, head=",".join(CSV_COLUMNS) + "\n"))
+            self._detections = (
+                stack.enter_context(RecordFile(files.detections, head=detections_head(view, fps)))
+                if keep_detections
+                else None
+            )
+            self._stack = stack.pop_all()
+
+    @property
+    def count(self) -> int:
+        """Vehicles written so far."""
+        return self._vehicles.count
+
+    def add_detections(self, found: Detections) -> None:
+        """Write one frame's detections."""
+        if self._detections is not None:
+            self._detections.add(json.dumps(found.to_dict()) + "\n")
+
+    def add_vehicle(self, vehicle: Vehicle) -> None:
+        """Write one vehicle."""
+        self._tracks.add(json.dumps(vehicle.to_car()))
+        self._vehicles.add(",".join(_row(vehicle)) + "\n")
+
+    def __enter__(self) -> ResultWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, value, trace)
+
+
+def _row(vehicle: Vehicle) -> list[str]:
+    length, width, height = (_number(v, 2) for v in vehicle.size_lwh_m)
+    return [
+        str(vehicle.track_id),
+        _number(vehicle.times_s[0], 3),
+        _number(vehicle.times_s[-1], 3),
+        _number(vehicle.speed_kmh, 2),
+        _number(vehicle.uncertainty_kmh, 2),
+        length,
+        width,
+        height,
+        vehicle.direction,
+        "" if vehicle.lane is None else str(vehicle.lane),
+        VehicleClass(vehicle.class_id).name.lower(),
+        str(len(vehicle.frames)),
+        str(vehicle.frames[0]),
+        str(vehicle.frames[-1]),
+        _number(vehicle.score, 3),
+    ]
+
+
+def _number(value: Any, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""

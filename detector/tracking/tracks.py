@@ -1,0 +1,169 @@
+"""Tracks of vehicles as the public result files hold them.
+
+A result file is `{"camera_calibration": {...}, "cars": [{"id", "frames", "posX", "posY"}, ...]}`; a car's positions may
+be single numbers, and other keys (`contours`) may stand beside them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.tracking.per_track import IntArray, owners
+from labelgen.errors import DataError
+from labelgen.geometry import Camera
+from labelgen.geometry.homography import Array
+
+__all__ = ["ResultFile", "Tracks", "read_results"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Tracks of N vehicles with P points altogether.
+
+    Args:
+        points_px: (P, 2) frame px, all tracks back to back.
+        frames: (P,) frame numbers, as the file gives them (they need not be sorted).
+        offsets: (N + 1,) where each track starts.
+        ids: (N,) the file's own names for the tracks; they need not be unique.
+        dropped: how many cars were left out so far, by reason.
+    """
+
+    points_px: Array
+    frames: Array
+    offsets: IntArray
+    ids: tuple[Hashable, ...]
+    dropped: Counter[str] = field(default_factory=Counter)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    @property
+    def owners(self) -> IntArray:
+        """(P,) which track each point belongs to."""
+        return owners(self.offsets)
+
+    @property
+    def lengths(self) -> IntArray:
+        """(N,) points per track."""
+        return np.diff(self.offsets)
+
+    def count(self, points: NDArray[np.bool_]) -> IntArray:
+        """(N,) how many of each track's points are marked in `points` (P,)."""
+        return np.bincount(self.owners[points], minlength=len(self))
+
+    def keep_points(self, keep: NDArray[np.bool_]) -> Tracks:
+        """The same tracks with some of their points; a track may become empty."""
+        offsets = np.concatenate([[0], np.cumsum(self.count(keep))])
+        return Tracks(self.points_px[keep], self.frames[keep], offsets, self.ids, self.dropped)
+
+    def keep_tracks(self, keep: NDArray[np.bool_], reason: str) -> Tracks:
+        """Some of the tracks; the others are counted as dropped for `reason`."""
+        lost = int(np.count_nonzero(~keep))
+        if not lost:
+            return self
+        rows = keep[self.owners]
+        return Tracks(
+            self.points_px[rows],
+            self.frames[rows],
+            np.concatenate([[0], np.cumsum(self.lengths[keep])]),
+            tuple(name for name, kept in zip(self.ids, keep, strict=True) if kept),
+            self.dropped + Counter({reason: lost}),
+        )
+
+    @classmethod
+    def from_cars(cls, cars: list[Any]) -> Tracks:
+        """Tracks from the `cars` of a result file; cars without usable lists are dropped and counted."""
+        xs, ys, frames, ids = [], [], [], []
+        dropped: Counter[str] = Counter()
+        for number, car in enumerate(cars):
+            parts = _car_arrays(car)
+            if isinstance(parts, str):
+                dropped[parts] += 1
+                continue
+            xs.append(parts[0])
+            ys.append(parts[1])
+            frames.append(parts[2])
+            # A car without a name of its own must not be taken for another one.
+            name = car.get("id")
+            ids.append(name if isinstance(name, int | float | str) else ("car", number))
+        offsets = np.concatenate([[0], np.cumsum([len(part) for part in frames], dtype=np.int64)])
+        empty = np.empty(0)
+        points = np.stack([np.concatenate([*xs, empty]), np.concatenate([*ys, empty])], axis=1)
+        return cls(points, np.concatenate([*frames, empty]), offsets, tuple(ids), dropped)
+
+
+def _car_arrays(car: Any) -> tuple[Array, Array, Array] | str:
+    """posX, posY and frames of one car, or the reason why it has none."""
+    if not isinstance(car, Mapping):
+        return "not an object"
+    arrays = []
+    for key in ("posX", "posY", "frames"):
+        value = car.get(key)
+        if not isinstance(value, list):
+            return "without lists"
+        try:
+            array = np.array(value) if value else np.empty(0)
+        except ValueError:
+            return "not numbers"
+        if array.ndim != 1 or array.dtype.kind not in "iuf":
+            return "not numbers"
+        arrays.append(array.astype(np.float64, copy=False))
+    x, y, frames = arrays
+    if not len(x) == len(y) == len(frames):
+        return "lists of different lengths"
+    if not len(x):
+        return "without points"
+    if not np.isfinite(frames).all():
+        return "not numbers"
+    return x, y, frames
+
+
+@dataclass(frozen=True, eq=False)
+class ResultFile:
+    """One parsed result file: its tracks, and its calibration as the file gives it (None where it has none)."""
+
+    path: Path
+    tracks: Tracks
+    calibration: Any
+
+    def camera(self) -> Camera:
+        """The file's own calibration.
+
+        Raises:
+            CalibrationError: there is none in the file, or it describes no camera.
+        """
+        return Camera.from_dict({"camera_calibration": self.calibration}, name=str(self.path))
+
+    def lane_scales(self) -> Any:
+        """`lane_scales` of the calibration, as the file gives it: one factor per lane; ones where there are none."""
+        calibration = self.calibration if isinstance(self.calibration, Mapping) else {}
+        return calibration.get("lane_scales", [1.0, 1.0, 1.0])
+
+
+def read_results(path: str | Path) -> ResultFile:
+    """Read a public result file.
+
+    Raises:
+        DataError: no such file, not JSON, or no list `cars` in it.
+    """
+    path = Path(path)
+    try:
+        data = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise DataError(f"results {path}: no such file; check --results, --system and --recordings") from None
+    except OSError as err:
+        raise DataError(f"results {path}: {err.strerror or err}") from None
+    except (ValueError, RecursionError) as err:
+        raise DataError(f"results {path}: not JSON ({err})") from None
+    cars = data.get("cars") if isinstance(data, dict) else None
+    if not isinstance(cars, list):
+        raise DataError(f"results {path}: expected an object with a list 'cars', as in the public result files")
+    return ResultFile(path, Tracks.from_cars(cars), data.get("camera_calibration"))

@@ -1,0 +1,127 @@
+"""The detector as Lightning sees it: steps, optimiser, schedule, validation, and the card in its checkpoints."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from lightning.pytorch import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from torch import Tensor
+
+from detector.checkpoint import CARD_KEY, Card
+from detector.data.dataset import Batch, ValidationSamples
+from detector.inference import to_found
+from detector.metrics import Found, evaluate
+from detector.model.retinanet import CcRetinaNet
+from detector.training.config import Preset
+from labelgen.labels import Sample
+
+__all__ = ["VALIDATION_SCORE", "DetectorModule"]
+
+VALIDATION_SCORE = "val/ap50"
+_PLATEAU_FACTOR, _PLATEAU_PATIENCE = 0.2, 3
+
+
+def as_input(batch: Batch) -> Tensor:
+    """Images as the model takes them: (N, 3, H, W) float in [0, 1]."""
+    return batch.images.float() / 255
+
+
+class DetectorModule(LightningModule):
+    """Trains a detector.
+
+    Args:
+        model: the network.
+        preset: optimiser and schedule.
+        card: goes into every checkpoint.
+        total_steps: of the whole training, for the cosine schedule.
+        validation: what the validation loader's numbers refer to; None without validation.
+    """
+
+    def __init__(
+        self, model: CcRetinaNet, preset: Preset, card: Card, total_steps: int, validation: ValidationSamples | None
+    ) -> None:
+        super().__init__()
+        self.model = model.to(memory_format=torch.channels_last)
+        self._preset, self._card, self._total_steps = preset, card, total_steps
+        self._validation = validation
+        self._found: dict[int, Found] = {}
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Loss of a batch."""
+        losses = self.model(list(as_input(batch)), batch.targets)
+        total: Tensor = torch.stack(list(losses.values())).sum()
+        self.log("train/loss", total, on_step=True, on_epoch=True, prog_bar=True, batch_size=len(batch))
+        for name, value in losses.items():
+            self.log(f"train/{name}", value, on_step=True, on_epoch=False, batch_size=len(batch))
+        return total
+
+    def on_validation_epoch_start(self) -> None:
+        """Forget the last epoch's detections."""
+        self._found = {}
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Detections of a batch."""
+        outputs = self.model(list(as_input(batch)))
+        for index, output, target in zip(batch.indices, outputs, batch.targets, strict=True):
+            self._found[index] = to_found(output, target["scene"], self._card)
+
+    def validation_pairs(self) -> list[tuple[Sample, Found]]:
+        """The validation samples seen last, with their detections."""
+        assert self._validation is not None
+        return [(self._validation.shards[index], self._found[index]) for index in sorted(self._found)]
+
+    def on_validation_epoch_end(self) -> None:
+        """Average precision and errors over the epoch's detections."""
+        result = evaluate(self.validation_pairs(), min_height_px=self._card.min_height_px)
+        figures = {
+            VALIDATION_SCORE: result["ap50"],
+            "val/ap": result["ap"],
+            "val/ap50_whole": result["ap50_whole"],
+            "val/cc_error": result["cc_error"]["median"],
+            "val/ground_px": result["ground_px"]["median"],
+        }
+        for name, value in figures.items():
+            # Before it has learnt anything there is nothing to measure c_c on.
+            number = math.nan if value is None else value
+            self.log(name, torch.tensor(number, dtype=torch.float32, device=self.device), prog_bar=True, sync_dist=True)
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """As the preset says."""
+        preset = self._preset
+        if preset.optimiser == "adamw":
+            optimiser: torch.optim.Optimizer = torch.optim.AdamW(
+                self._groups(preset.weight_decay), lr=preset.lr, weight_decay=preset.weight_decay
+            )
+        else:
+            optimiser = torch.optim.Adam(self.parameters(), lr=preset.lr)
+        if preset.schedule == "cosine":
+            schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, self._share_of_lr)
+            return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        judged = self._validation is not None
+        plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
+            optimiser, mode="max" if judged else "min", factor=_PLATEAU_FACTOR, patience=_PLATEAU_PATIENCE
+        )
+        monitor = VALIDATION_SCORE if judged else "train/loss_epoch"
+        return {"optimizer": optimiser, "lr_scheduler": {"scheduler": plateau, "interval": "epoch", "monitor": monitor}}
+
+    def _groups(self, decay: float) -> list[dict[str, Any]]:
+        """Weights decay; biases and normalisation do not."""
+        parts = [p for p in self.parameters() if p.requires_grad]
+        return [
+            {"params": [p for p in parts if p.dim() > 1], "weight_decay": decay},
+            {"params": [p for p in parts if p.dim() <= 1], "weight_decay": 0.0},
+        ]
+
+    def _share_of_lr(self, step: int) -> float:
+        warmup = min(self._preset.warmup_steps, self._total_steps // 2)
+        if step < warmup:
+            return (step + 1) / warmup
+        done = (step - warmup) / max(1, self._total_steps - warmup)
+        return 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Put the card in."""
+        checkpoint[CARD_KEY] = self._card.to_dict()

@@ -1,0 +1,118 @@
+"""Contact sheets: many labels on few pictures, on the rectified image and on the original one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.audit.originals import Originals
+from labelgen.draw import crop_around, draw_box3d, draw_label, draw_text, fit_into, tile_pictures
+from labelgen.errors import OutputError
+from labelgen.geometry.homography import apply_homography, bounding_boxes
+from labelgen.labels import Flag, Sample, VehicleClass
+from labelgen.shards import ShardSet
+
+__all__ = ["frame_sheets", "label_sheets", "pick_labels", "save_picture"]
+
+_TILE = 220
+_FLAG_LETTERS = {
+    Flag.TRUNCATED: "cut",
+    Flag.MISALIGNED: "misaligned",
+    Flag.CANDIDATES_DISAGREE: "disagree",
+    Flag.TOUCHING: "touching",
+}
+
+
+def save_picture(path: Path, picture: NDArray[np.uint8]) -> Path:
+    """Write a picture; OutputError where that fails."""
+    try:
+        ok = cv2.imwrite(str(path), picture)
+    except cv2.error:
+        ok = False
+    if not ok:
+        raise OutputError(f"cannot write {path}: check the folder and the space left")
+    return path
+
+
+def pick_labels(data: ShardSet, count: int, seed: int) -> list[tuple[int, int]]:
+    """(sample, label) numbers of labels chosen at random, in order."""
+    per_sample = np.concatenate([np.diff(reader.table("labels/offset")) for reader in data.readers])
+    starts = np.concatenate([[0], np.cumsum(per_sample)])
+    total = int(starts[-1])
+    chosen = np.sort(np.random.default_rng(seed).choice(total, min(count, total), replace=False))
+    samples = np.searchsorted(starts, chosen, side="right") - 1
+    return [(int(s), int(c - starts[s])) for s, c in zip(samples, chosen, strict=True)]
+
+
+def label_sheets(
+    data: ShardSet, originals: Originals, out: Path, *, count: int = 50, per_sheet: int = 10, seed: int = 0
+) -> list[Path]:
+    """Sheets of labels chosen at random, each on the rectified image and, if at hand, on the original.
+
+    Returns:
+        the files written, labels-00.png and so on.
+    """
+    picked = pick_labels(data, count, seed)
+    samples = {number: data[number] for number, _ in picked}
+    pictures = dict(zip(samples, originals.read(list(samples)), strict=True))
+    tiles = [_label_tile(samples[number], label, pictures[number], f"{i}") for i, (number, label) in enumerate(picked)]
+    return _write_sheets(tiles, out, "labels", per_sheet, 2)
+
+
+def frame_sheets(data: ShardSet, out: Path, *, count: int = 12, per_sheet: int = 6) -> list[Path]:
+    """Sheets of whole rectified images with all their labels, spread evenly, so that missing labels show."""
+    numbers = sorted({int(n) for n in np.linspace(0, len(data) - 1, min(count, len(data)))})
+    tiles = []
+    for number in numbers:
+        sample = data[number]
+        picture = sample.image
+        vertices, valid = sample.labels.vertices(sample.rectification.vpu)
+        for box, cc, points, good in zip(sample.labels.boxes_xyxy, sample.labels.cc, vertices, valid, strict=True):
+            draw_label(picture, box, float(cc), sample.rectification.vpu, points if good else None)
+        w, h = sample.rectification.size_wh
+        tile = fit_into(picture, (640, 360) if w >= h else (360, 640))
+        draw_text(tile, f"{sample.source} frame {sample.frame}", (6, 14))
+        tiles.append(tile)
+    return _write_sheets(tiles, out, "frames", per_sheet, 3 if tiles and tiles[0].shape[0] > tiles[0].shape[1] else 2)
+
+
+def _write_sheets(tiles: Sequence[NDArray[np.uint8]], out: Path, name: str, per_sheet: int, columns: int) -> list[Path]:
+    return [
+        save_picture(out / f"{name}-{i // per_sheet:02d}.png", tile_pictures(tiles[i : i + per_sheet], columns))
+        for i in range(0, len(tiles), per_sheet)
+    ]
+
+
+def _label_tile(sample: Sample, label: int, original: NDArray[np.uint8] | None, title: str) -> NDArray[np.uint8]:
+    labels, vpu = sample.labels, sample.rectification.vpu
+    box, cc = labels.boxes_xyxy[label], float(labels.cc[label])
+    vertices, valid = labels.vertices(vpu)
+    plain, to_tile = crop_around(sample.image, box, 0.35, _TILE)
+    drawn = plain.copy()
+    tile_box = apply_homography(to_tile, box.reshape(2, 2)).reshape(4)
+    tile_vpu = apply_homography(to_tile, vpu[None])[0]
+    tile_vertices = apply_homography(to_tile, vertices[label]) if valid[label] else None
+    draw_label(drawn, tile_box, cc, tile_vpu, tile_vertices)
+    flags = " ".join(text for flag, text in _FLAG_LETTERS.items() if labels.flags[label] & flag.value)
+    kind = VehicleClass(int(labels.class_ids[label])).name.lower()
+    draw_text(drawn, f"{title}  {kind} {labels.scores[label]:.2f}  c_c {cc:.3f}", (5, 14))
+    draw_text(drawn, flags, (5, _TILE - 6))
+    return np.concatenate([plain, drawn, _original_tile(sample, label, original)], axis=1)
+
+
+def _original_tile(sample: Sample, label: int, original: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    tile = np.full((_TILE, _TILE, 3), 70, dtype=np.uint8)
+    vertices, valid = sample.vertices_px()
+    if original is None or not valid[label] or not np.isfinite(vertices[label]).all():
+        draw_text(tile, "original not at hand" if original is None else "no 3D box", (10, _TILE // 2))
+        return tile
+    offset = np.nan_to_num(sample.window_xyxy[:2])
+    points = vertices[label] - offset
+    tile, to_tile = crop_around(original, bounding_boxes(points), 0.35, _TILE)
+    draw_box3d(tile, apply_homography(to_tile, points))
+    draw_text(tile, f"{sample.source} #{sample.frame}"[-38:], (5, 14), 0.33)
+    return tile

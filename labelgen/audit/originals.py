@@ -1,0 +1,64 @@
+"""Finding the original pictures behind the samples of a data set, where they are still at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError, LabelgenError
+from labelgen.media.frames import open_frames
+from labelgen.media.image_file import read_image
+from labelgen.shards import ShardSet
+from labelgen.shards.index import read_index
+
+__all__ = ["Originals"]
+
+
+class Originals:
+    """Original pictures of samples, from the places that dataset.json remembers.
+
+    Args:
+        data: the shards.
+    """
+
+    def __init__(self, data: ShardSet) -> None:
+        self._data = data
+        self._places: dict[Path, dict[str, Any]] = {}
+        for folder in {reader.path.parent for reader in data.readers}:
+            try:
+                entries = read_index(folder)["shards"]
+            except LabelgenError:
+                continue  # shards without an index: their labels are shown all the same
+            self._places.update({folder / entry["name"]: entry.get("original", {}) for entry in entries})
+
+    def place(self, index: int) -> dict[str, Any]:
+        """Where the original of a sample lies: path, calibration, road_mask, masks; or images; empty if unknown."""
+        return self._places.get(self._data.locate(index)[0].path, {})
+
+    def read(self, indices: Sequence[int]) -> list[NDArray[np.uint8] | None]:
+        """The picture of each sample's window, or None. Videos are decoded once, in order."""
+        found: list[NDArray[np.uint8] | None] = [None] * len(indices)
+        videos: dict[Path, dict[int, list[int]]] = {}
+        for i, index in enumerate(indices):
+            place, sample = self.place(index), self._data[index]
+            if "path" in place:
+                videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(i)
+            elif "images" in place:
+                try:
+                    found[i] = read_image(Path(place["images"]) / sample.source)
+                except DataError:
+                    continue  # moved since: the label is shown without its original
+        for path, wanted in videos.items():
+            if not path.exists():
+                continue
+            last = max(wanted)
+            for frame in open_frames(path).frames(wanted.__contains__):
+                for i in wanted[frame.number]:
+                    found[i] = frame.image
+                if frame.number >= last:
+                    break
+        return found

@@ -1,0 +1,137 @@
+"""`labelgen calibrate`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from labelgen.cli.options import (
+    JsonOption,
+    OverwriteOption,
+    check_report_path,
+    note,
+    print_table,
+    write_json_report,
+)
+
+if TYPE_CHECKING:
+    from labelgen.calibration.pipeline import Calibration
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Video of a fixed camera, or a folder of images.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The calibration; by default NAME.calibration.json beside VIDEO."),
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scale",
+            metavar="WAY",
+            help="auto-models (default), auto-dimensions[:L,W,H], or any number of distance:x1,y1,x2,y2,METRES and "
+            "lane:x1,y1,x2,y2,METRES.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Draw vanishing directions, road grid and tracks, PNG or JPEG."),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=1, metavar="S", help="Look at so many seconds at most.")
+    ] = None,
+    pp: Annotated[
+        str | None, typer.Option("--pp", metavar="X,Y", help="Principal point, px; by default the picture's middle.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Calibrate a camera from its video alone: vanishing points, focal length and scale, with a confidence.
+
+    A video that cannot carry a calibration is refused with the reason, exit code 2.
+    """
+    from labelgen.atomic_files import make_folder, write_json
+    from labelgen.calibration.complete_scene import calibrate_with_scale
+    from labelgen.errors import OutputError
+    from labelgen.media.frames import open_frames
+
+    out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
+    check_report_path(json_file, out)
+    for option, path in (("--out", out), ("--picture", picture)):
+        if path is not None and path.is_dir():
+            raise OutputError(f"{option} {path}: it is a folder; name a file")
+        if path is not None and path.exists() and not overwrite:
+            raise OutputError(f"{option} {path}: it exists; add --overwrite or choose another name")
+    if picture is not None and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise OutputError(f"--picture {picture}: name a .png or .jpg file")
+    middle = _point(pp)
+    done = calibrate_with_scale(
+        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), say=note, pp=middle,
+        duration_s=duration,
+    )  # fmt: skip
+    make_folder(out.absolute().parent)
+    write_json(out, done.to_dict())
+    if picture is not None:
+        _write_picture(done, picture)
+    rows = _rows(done)
+    typer.echo(f"{done.camera.name} calibrated")
+    print_table([*rows, ("in", out), *([("picture", picture)] if picture else [])])
+    for doubt in done.doubts:
+        typer.echo(f"note: {doubt}", err=True)
+    report = {**done.to_dict(), "focal": done.camera.focal, "vp3": done.camera.vp3.tolist(), "out": str(out)}
+    write_json_report(json_file, {**report, "picture": str(picture) if picture else None})
+
+
+def _point(text: str | None) -> list[float] | None:
+    from labelgen.errors import LabelgenError
+
+    if text is None:
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise LabelgenError(f"--pp {text}: expected two numbers X,Y in px") from None
+    return [x, y]
+
+
+def _rows(done: Calibration) -> list[tuple[str, Any]]:
+    camera, evidence = done.camera, done.orientation.evidence
+    confidence = done.confidence()
+    points = [(f"VP{k}, px", "{:.1f}, {:.1f}".format(*camera.vanishing_point(k))) for k in (1, 2, 3)]
+    points[0] = (points[0][0], f"{points[0][1]}  (known to {evidence.vp1_deg:.2f} degrees)")
+    rows: list[tuple[str, Any]] = [
+        *points,
+        ("focal length, px", f"{camera.focal:.0f}  (known to {evidence.focal:.1%})"),
+        ("vehicles", evidence.vehicles),
+        ("tracks along the road", f"{evidence.along_share:.0%} of {evidence.tracks}"),
+        ("edges across it", f"{evidence.across_edges:.0f} of {evidence.edges}"),
+        ("looked at, s", f"{evidence.seconds:.0f}" + ("" if done.seen.ended else " (enough)")),
+        ("confidence", f"{confidence['overall']:.2f}"),
+    ]
+    if done.scale is not None:
+        known = f", known to {done.scale.spread:.1%}" if math.isfinite(done.scale.spread) else ""
+        rows.insert(4, ("scale", f"{done.scale.scale:.6g}  ({done.scale.method}{known})"))
+    return rows
+
+
+def _write_picture(done: Calibration, path: Path) -> None:
+    import cv2
+    import numpy as np
+
+    from labelgen.atomic_files import make_folder, write_atomic
+    from labelgen.calibration.plot import draw_calibration
+
+    seen = done.seen
+    image = np.zeros((seen.size_wh[1], seen.size_wh[0], 3), np.uint8)
+    if seen.background is not None:
+        image = np.ascontiguousarray(seen.background[..., ::-1])
+    tracks = [seen.tracks[k] for k in done.orientation.supporting.tolist()]
+    text = [f"{done.camera.name}: confidence {done.confidence()['overall']:.2f}", *done.doubts]
+    drawn = draw_calibration(image, done.camera, tracks, text)
+    make_folder(path.absolute().parent)
+    write_atomic(path, cv2.imencode(path.suffix.lower(), drawn)[1].tobytes())

@@ -1,0 +1,136 @@
+"""`labelgen detect`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from labelgen.cli.options import (
+    CalibrationOption,
+    JsonOption,
+    OverwriteOption,
+    RoadMaskOption,
+    print_table,
+    write_json_report,
+)
+
+if TYPE_CHECKING:
+    from detector.inference import Detector
+
+__all__ = ["detect"]
+
+
+def detect(
+    checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="Written by labelgen train.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="VIDEO_OR_IMAGES_OR_SHARDS", help="Video, image or session folder, or shards.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where detections.jsonl goes.")],
+    calibration: CalibrationOption = None,
+    road_mask: RoadMaskOption = None,
+    score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a detection.")] = 0.5,
+    every: Annotated[int, typer.Option("--every", min=1, metavar="N", help="Take every N-th frame.")] = 1,
+    limit: Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N pictures.")] = None,
+    render: Annotated[bool, typer.Option("--render", help="Write the rectified pictures with 3D boxes.")] = False,
+    device: Annotated[str | None, typer.Option("--device", help="Torch device; the GPU when there is one.")] = None,
+    overwrite: OverwriteOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Find vehicles: boxes with c_c, one line per frame.
+
+    For videos and images the file is one that `labelgen speed --from detections:FILE` reads. For shards each line names
+    the sample it belongs to.
+    """
+    from detector.inference import Detector
+    from labelgen.atomic_files import make_folder
+    from labelgen.errors import OutputError
+
+    detector = Detector.load(checkpoint, score=score, device=device)
+    target = out / "detections.jsonl"
+    if target.exists() and not overwrite:
+        raise OutputError(f"{target}: it exists already; use --overwrite or another --out")
+    is_shards = source.suffix == ".h5" or (source.is_dir() and any(source.glob("shard-*.h5")))
+    lines = (
+        _of_shards(detector, source, limit)
+        if is_shards
+        else _of_frames(detector, source, calibration, road_mask, every, limit)
+    )
+    first = next(lines)  # finds out what is wrong before anything is written
+    make_folder(out)
+    pictures = make_folder(out / "pictures") if render else None
+    counts = _write(first, lines, target, pictures)
+    rows = [("pictures", counts[0]), ("detections", counts[1]), ("in", out)]
+    typer.echo(f"Detections of {source.name} by {checkpoint.name}")
+    print_table(rows)
+    write_json_report(json_file, {"pictures": counts[0], "detections": counts[1], "file": str(target)})
+
+
+_Line = tuple[str, int, Any]
+"""A line of the file, its detections, and the picture with them (None for the head)."""
+
+
+def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | None) -> tuple[int, int]:
+    import cv2
+    from tqdm import tqdm
+
+    count = total = 0
+    with ExitStack() as stack:
+        file = stack.enter_context(target.open("w", encoding="utf-8"))
+        bar = stack.enter_context(tqdm(unit="img"))
+        file.write(first[0])
+        for text, found, draw in lines:
+            file.write(text)
+            if pictures is not None:
+                cv2.imwrite(str(pictures / f"{count:06d}.jpg"), draw())
+            count, total = count + 1, total + found
+            bar.update()
+    return count, total
+
+
+def _of_frames(
+    detector: Detector, source: Path, calibration: Path | None, road_mask: Path | None, every: int, limit: int | None
+) -> Iterator[_Line]:
+    from itertools import islice
+
+    from detector.inference import model_view
+    from detector.speed.detection_file import detections_head
+    from detector.speed.detection_source import DetectorDetections
+    from detector.visualize import draw_detections
+    from labelgen.datasets.scene import find_scene
+    from labelgen.media.frames import open_frames
+
+    scene = find_scene(source, calibration=calibration, road_mask=road_mask)
+    assert scene.frames_path is not None
+    frames = open_frames(scene.frames_path)
+    view = model_view(detector.card, scene.camera(frames.size_wh), scene.road())
+    model = DetectorDetections(detector, view)
+    yield detections_head(view, frames.fps or scene.fps), 0, None
+    coming = islice(frames.frames(lambda number: number % every == 0), limit)
+    for frame, found in model.detections(coming):
+        text = json.dumps(found.to_dict()) + "\n"
+        yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
+
+
+def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:
+    from detector.data.dataset import open_sources
+    from detector.visualize import draw_found
+    from labelgen.shards import ShardSet
+
+    open_sources([source], detector.card.pair, detector.card.size_wh)
+    samples = ShardSet([source])
+    head = {"format": "labelgen-shard-detections", "version": 1, "shards": str(source)}
+    yield json.dumps(head) + "\n", 0, None
+    for index in range(min(len(samples), limit or len(samples))):
+        sample = samples[index]
+        (found,) = detector([detector.picture(sample)])
+        line = {
+            "sample": index, "source": sample.source, "frame": sample.frame,
+            "boxes": found.boxes_xyxy.round(3).tolist(),
+            "cc": found.cc.round(5).tolist(), "scores": found.scores.round(4).tolist(),
+        }  # fmt: skip
+        yield json.dumps(line) + "\n", len(found), lambda sample=sample, found=found: draw_found(sample, found)

@@ -1,0 +1,70 @@
+"""`labelgen test-detector`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from labelgen.cli.options import JsonOption, print_table, write_json_report
+
+if TYPE_CHECKING:
+    from detector.inference import Detector
+    from detector.metrics import Found
+    from labelgen.labels import Sample
+    from labelgen.shards import ShardSet
+
+__all__ = ["detector_test"]
+
+
+def detector_test(
+    checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="Written by labelgen train.")],
+    shards: Annotated[list[Path], typer.Argument(metavar="SHARDS...", help="Shards or folders of them.")],
+    score: Annotated[
+        float, typer.Option("--score", min=0.0, max=1.0, help="Least score, for all but average precision.")
+    ] = 0.5,
+    batch: Annotated[int, typer.Option("--batch", min=1, help="Pictures at a time.")] = 8,
+    device: Annotated[str | None, typer.Option("--device", help="Torch device; the GPU when there is one.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Judge a detector on labelled shards: AP, AP50, AP75, c_c, ground points, invalid boxes.
+
+    Figures ending in _whole leave truncated labels out: they need not be found and cost nothing when they are.
+    """
+    from detector.data.dataset import open_sources
+    from detector.inference import Detector
+    from detector.metrics import evaluate
+    from labelgen.shards import ShardSet
+
+    detector = Detector.load(checkpoint, device=device)
+    card = detector.card
+    open_sources(shards, card.pair, card.size_wh)
+    samples = ShardSet(shards)
+    result = evaluate(_run(detector, samples, batch), score=score, min_height_px=card.min_height_px)
+    size = "{}x{}".format(*card.size_wh)
+    typer.echo(f"{checkpoint.name} ({card.preset}, {card.pair}, {size}) on {len(samples)} pictures")
+    print_table(_rows(result))
+    write_json_report(json_file, {"checkpoint": str(checkpoint), "preset": card.preset, **result})
+
+
+def _run(detector: Detector, samples: ShardSet, batch: int) -> Iterator[tuple[Sample, Found]]:
+    from tqdm import tqdm
+
+    with tqdm(total=len(samples), unit="img") as bar:
+        for start in range(0, len(samples), batch):
+            part = [samples[i] for i in range(start, min(start + batch, len(samples)))]
+            yield from zip(part, detector([detector.picture(sample) for sample in part]), strict=True)
+            bar.update(len(part))
+
+
+def _rows(result: dict[str, Any]) -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for name, value in result.items():
+        if isinstance(value, dict):
+            figures = [f"{key} {value[key]:.4g}" for key in ("median", "mean", "p95") if value["n"]]
+            rows.append((name, f"{', '.join(figures) or '-'} (n {value['n']})"))
+        else:
+            rows.append((name, f"{value:.4f}" if isinstance(value, float) else "-" if value is None else value))
+    return rows

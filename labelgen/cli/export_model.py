@@ -1,0 +1,72 @@
+"""`labelgen export-model`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from detector.checkpoint import Card
+
+__all__ = ["export_model"]
+
+_CHECKED = 20
+
+
+def export_model(
+    checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="Written by labelgen train.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.")],
+    format_: Annotated[str, typer.Option("--format", help="onnx.")] = "onnx",
+    score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a detection.")] = 0.3,
+    check: Annotated[
+        Path | None, typer.Option("--check", metavar="SHARDS", help="Compare with PyTorch on pictures of these shards.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Write a detector for other runtimes: one rectified RGB picture in, boxes, scores and c_c out, NMS included."""
+    from detector.export_onnx import check_onnx, export_onnx
+    from labelgen.errors import LabelgenError, OutputError
+
+    if format_ != "onnx":
+        raise LabelgenError(f"--format {format_}: unknown; use onnx")
+    if out.exists() and not overwrite:
+        raise OutputError(f"{out}: it exists already; use --overwrite or another --out")
+    card = export_onnx(checkpoint, out, score=score)
+    rows: list[tuple[str, Any]] = [
+        ("in", out), ("size", "{}x{}".format(*card.size_wh)), ("bytes", out.stat().st_size)
+    ]  # fmt: skip
+    parity = None
+    if check is not None:
+        parity = check_onnx(checkpoint, out, _pictures(check, card), score=score)
+        rows += [("boxes compared", parity.boxes), ("greatest difference, px", f"{parity.px:.2e}")]
+        rows += [("of scores", f"{parity.score:.2e}"), ("of c_c, sizes", f"{parity.cc:.2e}, {parity.sizes:.2e}")]
+    typer.echo(f"Exported {checkpoint.name} ({card.preset}, {card.pair})")
+    print_table(rows)
+    write_json_report(
+        json_file,
+        {
+            "out": str(out), "pair": str(card.pair), "size": list(card.size_wh),
+            "parity": None if parity is None else asdict(parity),
+        },
+    )  # fmt: skip
+
+
+def _pictures(shards: Path, card: Card) -> list[NDArray[np.float32]]:
+    import numpy as np
+
+    from detector.data.dataset import open_sources
+    from labelgen.shards import ShardSet
+
+    open_sources([shards], card.pair, card.size_wh)
+    samples = ShardSet([shards])
+    chosen = np.unique(np.linspace(0, len(samples) - 1, _CHECKED).astype(int)).tolist()
+    return [samples[i].image[:, :, ::-1].transpose(2, 0, 1).astype(np.float32) / np.float32(255) for i in chosen]

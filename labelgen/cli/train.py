@@ -1,0 +1,106 @@
+"""`labelgen train`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
+
+__all__ = ["train"]
+
+
+def train(
+    shards: Annotated[
+        list[str], typer.Argument(metavar="SHARDS...", help="Shards or folders of them; FOLDER:WEIGHT to mix.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="RUN_DIR", help="Where checkpoints and logs go.")],
+    preset: Annotated[
+        str,
+        typer.Option("--preset", metavar="NAME", help="small, paper-640x360, transform2d, ...; see docs/detector.md."),
+    ] = "small",
+    val: Annotated[
+        list[str] | None, typer.Option("--val", metavar="SHARDS", help="Shards to judge by; may be given repeatedly.")
+    ] = None,
+    epochs: Annotated[int | None, typer.Option("--epochs", min=1, help="Instead of the preset's.")] = None,
+    steps_per_epoch: Annotated[
+        int | None, typer.Option("--steps-per-epoch", min=1, help="Instead of the preset's, or of one pass.")
+    ] = None,
+    batch: Annotated[int | None, typer.Option("--batch", min=1, help="Samples per step and device.")] = None,
+    lr: Annotated[float | None, typer.Option("--lr", help="Learning rate instead of the preset's.")] = None,
+    patience: Annotated[
+        int | None, typer.Option("--patience", min=0, help="Stop after so many epochs without progress on --val.")
+    ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            "--weights",
+            metavar="FILE|imagenet|none",
+            help="What to begin with; FILE: a checkpoint, torchvision's RetinaNet, or its file of the backbone.",
+        ),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from RUN_DIR's last checkpoint.")] = False,
+    overwrite: OverwriteOption = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights, order and augmentation.")] = 0,
+    backbone: Annotated[
+        str | None, typer.Option("--backbone", metavar="NAME", help="torchvision network instead of the preset's.")
+    ] = None,
+    precision: Annotated[
+        str | None, typer.Option("--precision", help="Lightning's: 32-true, bf16-mixed, 16-mixed; the preset's choice.")
+    ] = None,
+    device: Annotated[str, typer.Option("--device", help="Lightning's accelerator: auto, cpu, gpu.")] = "auto",
+    devices: Annotated[str, typer.Option("--devices", help="How many of them, or auto.")] = "auto",
+    nodes: Annotated[int, typer.Option("--nodes", min=1, help="Machines, each started by your launcher.")] = 1,
+    strategy: Annotated[str, typer.Option("--strategy", help="Lightning's: auto, ddp, ...")] = "auto",
+    workers: Annotated[int, typer.Option("--workers", min=0, help="Loader processes.")] = 0,
+    checkpoint_every: Annotated[
+        int,
+        typer.Option("--checkpoint-every", min=0, metavar="STEPS", help="Also within epochs; 0 for their ends only."),
+    ] = 500,
+    json_file: JsonOption = None,
+) -> None:
+    """Train the detector: RetinaNet with c_c.
+
+    Killed or interrupted, the same command with --resume goes on: same data in the same order, and on a CPU the same
+    weights in the end.
+    """
+    from detector.training.config import find_preset
+    from detector.training.train import Trainer
+    from detector.training.train import train as run
+
+    named = weights in ("imagenet", "none")
+    chosen = find_preset(
+        preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,
+        weights=weights if named else None,
+    )  # fmt: skip
+    if backbone is not None:
+        chosen = replace(chosen, model=replace(chosen.model, backbone=backbone))
+    machine = Trainer(
+        device, int(devices) if devices.isdigit() else devices, nodes, strategy, precision, workers, checkpoint_every
+    )
+    summary = run(
+        shards, chosen, out, validation=val or [], weights=Path(weights) if weights and not named else None,
+        resume=resume, overwrite=overwrite, seed=seed, machine=machine,
+    )  # fmt: skip
+    typer.echo(
+        f"Trained {preset}" + (", interrupted; the same command with --resume goes on" if summary.interrupted else "")
+    )
+    rows = [("steps", summary.steps), ("epochs", summary.epochs)]
+    rows += [(name, f"{value:.4f}") for name, value in sorted(summary.metrics.items())]  # type: ignore[misc]
+    print_table([*rows, ("checkpoint", summary.checkpoint), ("best", summary.best or "-")])
+    # NaN, where there was nothing to measure, is no JSON.
+    metrics = {name: value if math.isfinite(value) else None for name, value in summary.metrics.items()}
+    write_json_report(
+        json_file,
+        {
+            "preset": preset, "steps": summary.steps, "epochs": summary.epochs, "metrics": metrics,
+            "checkpoint": str(summary.checkpoint), "best": None if summary.best is None else str(summary.best),
+            "interrupted": summary.interrupted,
+        },
+    )  # fmt: skip
+    if summary.interrupted:
+        raise typer.Exit(130)

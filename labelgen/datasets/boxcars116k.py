@@ -1,0 +1,246 @@
+"""BoxCars116k: vehicle crops with 3D boxes in full-frame pixels.
+
+Layout (facts checked on the data set): dataset.pkl and json_data/dataset.json hold the same
+`{cameras: {name: {vp1, vp2, vp3, pp}}, samples: [{camera, to_camera, annotation, instances: [...]}]}`; crops are
+in images/ or, JPEG-encoded, in atlas.pkl[vehicle][instance]. Crop pixels are frame pixels minus 3DBB_offset.
+
+Source: Sochor et al., IEEE T-ITS 2019.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.datasets.safe_pickle import load_pickle
+from labelgen.errors import CalibrationError, DataError
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.homography import Array
+from labelgen.labels import Split
+from labelgen.media.image_file import decode_image, read_image
+
+__all__ = ["BoxCars", "Instance"]
+
+_SPLITS = {"train": Split.TRAIN, "validation": Split.VALIDATION, "test": Split.TEST}
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One crop of one vehicle.
+
+    Args:
+        vehicle, number: its place in the data set and in the atlas.
+        path: of its crop below images/.
+        camera: name of its camera.
+        to_camera: whether the vehicle drives towards the camera.
+        vertices_px: (8, 2) the 3D box, frame px; None where it is damaged.
+        offset_px: (2,) frame px of the crop's first pixel.
+        problem: what is wrong with the entry, or "".
+    """
+
+    vehicle: int
+    number: int
+    path: str
+    camera: str
+    to_camera: bool
+    vertices_px: Array
+    offset_px: Array
+    problem: str = ""
+
+
+class BoxCars:
+    """An opened BoxCars116k tree.
+
+    Args:
+        root: its folder.
+        layout: from the data manifest.
+        split: name of the classification split to look up; None for none.
+        default_split: the one to look up without `split`, where the data set has it.
+
+    Attributes:
+        annotations: path of the annotations that are read.
+        atlas: path of the atlas; None where crops come from image files.
+        split_name, splits: name of the classification split and path of the splits; None where none is used.
+        cameras, bad_cameras: the cameras by name, and what is wrong with those that are none.
+        vanishing_points: (3, 2) px by camera.
+
+    Raises:
+        DataError: wrong layout or damaged files.
+    """
+
+    def __init__(
+        self, root: Path, layout: Mapping[str, Any], split: str | None = None, *, default_split: str = ""
+    ) -> None:
+        self.root = root
+        present = [root / name for name in layout["annotations"] if (root / name).is_file()]
+        if not present:
+            raise DataError(
+                f"{root}: not a BoxCars116k tree, neither {' nor '.join(layout['annotations'])} is in it; "
+                "give the folder that holds them as --root"
+            )
+        self.annotations = present[0]
+        self.images = root / layout["images"]
+        self.atlas = None if self.images.is_dir() else root / layout["atlas"]
+        if self.atlas is not None and not self.atlas.is_file():
+            raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
+        self._atlas: Any = load_pickle(self.atlas) if self.atlas is not None else []
+        data = _load_annotations(self.annotations)
+        self._samples: list[Any] = data["samples"]
+        self.cameras: dict[str, Camera] = {}
+        self.vanishing_points: dict[str, Array] = {}
+        self.bad_cameras: dict[str, str] = {}
+        for key, entry in data["cameras"].items():
+            name = _text(key)
+            try:
+                camera = Camera.from_dict(entry, name=name)
+                self.vanishing_points[name] = _vanishing_points(entry, camera)
+                self.cameras[name] = camera
+            except CalibrationError as err:
+                self.bad_cameras[name] = str(err)
+        path = root / layout["splits"]
+        self.split_name, self._splits = _load_splits(path, split, default_split)
+        self.splits = None if self.split_name is None else path
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Worker processes get their instances with the work and need only what reads crops.
+        return {**self.__dict__, "_samples": [], "_splits": {}}
+
+    @property
+    def from_atlas(self) -> bool:
+        """Whether crops come from the atlas, which one process has to hold in memory."""
+        return self.atlas is not None
+
+    def instances(self) -> Iterator[Instance]:
+        """All instances, in the order of the data set."""
+        for vehicle, sample in enumerate(self._samples):
+            instances = _listed(sample.get("instances")) if isinstance(sample, Mapping) else None
+            if instances is None:
+                yield _damaged(vehicle, 0, "its vehicle has no list of instances")
+                continue
+            for number, entry in enumerate(instances):
+                yield _instance(vehicle, number, sample, entry)
+
+    def split_of(self, vehicle: int) -> Split:
+        """Classification split of a vehicle; NONE where it is in none."""
+        return self._splits.get(vehicle, Split.NONE)
+
+    def read_crop(self, instance: Instance) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 BGR crop.
+
+        Raises:
+            DataError: missing or no picture.
+        """
+        # Messages go into the shards, which are the same wherever the data set lies: no paths of this machine.
+        if self.atlas is None:
+            return read_image(self.images / instance.path, what=f"{self.images.name}/{instance.path}")
+        what = f"{self.atlas.name}[{instance.vehicle}][{instance.number}]"
+        try:
+            encoded = self._atlas[instance.vehicle][instance.number]
+        except (LookupError, TypeError):
+            raise DataError(f"{what}: not there") from None
+        try:
+            return decode_image(np.frombuffer(encoded, dtype=np.uint8), what)
+        except (TypeError, ValueError, BufferError):
+            raise DataError(f"{what}: not an image") from None
+
+
+def _load_annotations(path: Path) -> dict[str, Any]:
+    data: Any
+    if path.suffix == ".pkl":
+        data = load_pickle(path)
+    else:
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as err:
+            raise DataError(f"{path}: {err.strerror or err}") from None
+        except (ValueError, RecursionError) as err:
+            raise DataError(f"{path}: not JSON ({err}); get the file from its publisher again") from None
+    samples = _listed(data.get("samples")) if isinstance(data, dict) else None
+    if samples is None or not isinstance(data.get("cameras"), dict):
+        raise DataError(f"{path}: not BoxCars116k annotations; expected 'cameras' and 'samples' in it")
+    return {"cameras": data["cameras"], "samples": samples}
+
+
+def _listed(value: Any) -> list[Any] | None:
+    """The items of a list in any of the forms that annotations have them in; None if it is none."""
+    is_list = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1)
+    return list(value) if is_list else None
+
+
+def _text(value: Any) -> str:
+    """Text that every file takes, from any name: keys of cameras may be numbers, and JSON may hold half characters."""
+    return str(value).encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+
+
+def _points(value: Any, shape: tuple[int, ...]) -> Array | None:
+    """Finite coordinates of this shape, or None."""
+    try:
+        points = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return points if points.shape == shape and np.isfinite(points).all() else None
+
+
+def _vanishing_points(entry: Mapping[str, Any], camera: Camera) -> Array:
+    """(3, 2) vanishing points. The annotated boxes follow the data set's own VP3, not the derived one.
+
+    Raises:
+        CalibrationError: VP3 is there and damaged.
+    """
+    given = entry.get("vp3")
+    vp3 = camera.vp3 if given is None else _points(given, (2,))
+    if vp3 is None:
+        raise CalibrationError(f"camera {camera.name}: its vp3 is not two finite numbers")
+    return np.stack([camera.vp1, camera.vp2, vp3])
+
+
+def _load_splits(path: Path, asked: str | None, default: str) -> tuple[str | None, dict[int, Split]]:
+    """Name of the split in use and the part of each vehicle; None and nothing where there is none."""
+    if not path.is_file():
+        if asked:
+            raise DataError(f"--split {asked}: there is no {path}")
+        return None, {}
+    data = load_pickle(path)
+    known = data if isinstance(data, dict) else {}
+    name = asked or default
+    if name not in known:
+        if asked:
+            raise DataError(f"--split {asked}: not in {path}; it has {', '.join(map(_text, known)) or 'none'}")
+        return None, {}
+    try:
+        return name, {int(vehicle): split for part, split in _SPLITS.items() for vehicle, _ in known[name][part]}
+    except (LookupError, TypeError, ValueError, OverflowError):
+        raise DataError(f"{path}: split {name!r} is not of the form train, validation, test") from None
+
+
+def _damaged(vehicle: int, number: int, problem: str) -> Instance:
+    nothing = np.full((8, 2), np.nan)
+    return Instance(vehicle, number, "", "", False, nothing, nothing[0], problem)
+
+
+def _instance(vehicle: int, number: int, sample: Mapping[str, Any], entry: Any) -> Instance:
+    try:
+        path, camera, to_camera = str(entry["path"]), _text(sample["camera"]), bool(sample["to_camera"])
+        vertices, offset = _points(entry["3DBB"], (8, 2)), _points(entry["3DBB_offset"], (2,))
+    except KeyError as err:
+        return _damaged(vehicle, number, f"its entry lacks {err}")
+    except (IndexError, TypeError, ValueError, RecursionError):
+        return _damaged(vehicle, number, "its entry is not of the expected form")
+    name = _text(path)
+    if name != path:
+        problem = "its path is no file's name"
+    elif Path(path).is_absolute() or ".." in Path(path).parts:
+        problem = f"its path {path!r} leads out of the data set"
+    elif vertices is None:
+        problem = "its 3D box is not 8 finite points"
+    elif offset is None:
+        problem = "its 3DBB_offset is not 2 finite numbers"
+    else:
+        return Instance(vehicle, number, path, camera, to_camera, vertices, offset)
+    return replace(_damaged(vehicle, number, problem), path=name, camera=camera, to_camera=to_camera)

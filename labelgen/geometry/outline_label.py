@@ -1,0 +1,234 @@
+"""From a vehicle's mask in the rectified image to its 2D box and c_c.
+
+Convention: a mask pixel covers [x, x + 1) x [y, y + 1). In a rectified mask the box runs along pixel borders and the
+two tangents from VPU touch it at pixel centres. In a mask of the frame both run obliquely: a side that follows the
+pixel grid truly lies at the borders, any other at the centres, so the middle half of each pixel stands for it.
+
+Source: Kocur & Ftacnik 2020, section 3.4 (tangents from VPU, the wider of the two candidates). The published
+method rectifies the mask's pixels; rectifying its hull instead does not round anything to the rectified grid,
+which is what most of the error of c_c comes from (docs/label-accuracy.md). The
+"conditioned" rule weights the candidates by the inverse square of how far a shift of the tangent point by
+0.7 px moves them: where a tangent runs almost along a side of the box, half a pixel moves its candidate far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labelgen.errors import LabelgenError
+from labelgen.geometry.homography import Array, bounding_boxes
+from labelgen.geometry.rectification import Rectification
+
+__all__ = [
+    "MaskLabels",
+    "Outline",
+    "Rule",
+    "label_outlines",
+    "mask_outline",
+    "mask_polygon",
+    "polygon_outline",
+    "rectified_outline",
+]
+
+_TANGENT_SHIFT = 0.7
+_MIDDLE_HALF = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
+
+
+class Rule(StrEnum):
+    """How the two candidates for c_c become one."""
+
+    WIDER = "wider"
+    CONDITIONED = "conditioned"
+
+    @classmethod
+    def parse(cls, text: str) -> Rule:
+        """Rule from its name; LabelgenError names the known ones."""
+        for rule in cls:
+            if rule.value == text.strip().lower():
+                return rule
+        raise LabelgenError(f"--rule {text}: unknown rule; use one of {', '.join(r.value for r in cls)}")
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What of a rectified mask matters for its label: all its parts together.
+
+    Args:
+        box_xyxy: (4,) rectified px.
+        hull: (K, 2) rectified px, points on whose convex hull the tangents touch.
+    """
+
+    box_xyxy: Array
+    hull: Array
+
+
+@dataclass(frozen=True)
+class MaskLabels:
+    """What `label_outlines` returns; all arrays have N entries.
+
+    Args:
+        boxes_xyxy: (N, 4) rectified px.
+        cc: (N,) c_c in [0, 1] by the chosen rule; NaN where not valid.
+        candidates: (N, 2) c_c by the tangent on the box's left and right, clamped to [0, 1].
+        valid: (N,) False where VPU does not lie above or below the mask, so that there are no tangents.
+    """
+
+    boxes_xyxy: Array
+    cc: Array
+    candidates: Array
+    valid: NDArray[np.bool_]
+
+
+def _as_uint8(mask: NDArray[Any]) -> NDArray[np.uint8]:
+    """Non-zero where the mask is; 256 and 0.5 are not to become 0."""
+    if mask.dtype == np.uint8:
+        return mask
+    return (mask if mask.dtype == np.bool_ else mask != 0).view(np.uint8)
+
+
+def _hull(mask: NDArray[Any], origin_px: tuple[int, int]) -> Array | None:
+    """Convex hull (K, 2) of the mask's pixels by column and row, all parts together; None if it is empty."""
+    contours, _ = cv2.findContours(_as_uint8(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours:
+        return None
+    points = np.concatenate(contours) if len(contours) > 1 else contours[0]
+    return np.asarray(cv2.convexHull(points)[:, 0] + np.asarray(origin_px), dtype=np.float64)
+
+
+def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Outline | None:
+    """Outline of a rectified mask (the published method).
+
+    Args:
+        mask: (h, w), any non-zero value being set, in the rectified image.
+        origin_px: rectified px of its first pixel.
+
+    Returns:
+        None for an empty mask.
+    """
+    hull = _hull(mask, origin_px)
+    if hull is None:
+        return None
+    return Outline(np.concatenate([hull.min(axis=0), hull.max(axis=0) + 1]), hull + 0.5)
+
+
+def rectified_outline(
+    rectification: Rectification, mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)
+) -> Outline | None:
+    """Outline, in rectified px, of a mask given in the frame; None where none of its hull lies in the rectified image.
+
+    Args:
+        rectification: from the frame in which the mask lies.
+        mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
+        origin_px: frame px of the mask's first pixel.
+    """
+    polygon = mask_polygon(mask, origin_px)
+    return None if polygon is None else polygon_outline(rectification, polygon)
+
+
+def mask_polygon(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Array | None:
+    """Points (K, 2) px whose convex hull stands for a mask of the frame; None if it is empty.
+
+    Args:
+        mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
+        origin_px: frame px of the mask's first pixel.
+    """
+    hull = _hull(mask, origin_px)
+    if hull is None:
+        return None
+    out: Array = (hull[:, None] + _MIDDLE_HALF).reshape(-1, 2)
+    return out
+
+
+def polygon_outline(rectification: Rectification, points: Array) -> Outline | None:
+    """Outline, in rectified px, of the convex hull of frame points (K, 2); None where none of it lies inside."""
+    inside = rectification.points(points)
+    if not ((inside >= 0) & (inside <= rectification.size_wh)).all():  # NaN, beyond the horizon, is outside, too
+        outer = cv2.convexHull(points.astype(np.float32))[:, 0]
+        inside = rectification.polygon_inside(outer)
+        if len(inside) == 0:
+            return None
+    box = bounding_boxes(inside)
+    return Outline(box, inside) if (box[:2] < box[2:]).all() else None
+
+
+def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rule.WIDER) -> MaskLabels:
+    """Labels of N masks of one rectified image.
+
+    Args:
+        outlines: N outlines in the same rectified image.
+        vpu: (2,) rectified px.
+        rule: how to combine the two candidates.
+    """
+    rule = Rule(rule)
+    u, v = (float(x) for x in np.asarray(vpu, dtype=np.float64))
+    if not outlines:
+        nothing = np.empty(0)
+        return MaskLabels(np.empty((0, 4)), nothing, np.empty((0, 2)), np.empty(0, dtype=np.bool_))
+    boxes = np.stack([outline.box_xyxy for outline in outlines])
+    below = v > (boxes[:, 1] + boxes[:, 3]) / 2
+    flip = np.where(below, -1.0, 1.0)
+    y0, y1 = np.where(below, -boxes[:, 3], boxes[:, 1]), np.where(below, -boxes[:, 1], boxes[:, 3])
+    valid = (flip * v < y0) & bool(np.isfinite([u, v]).all())
+
+    # Tangents x = u + k (y - v): per mask the least and the greatest k, and how far below VPU they touch.
+    slopes, depths = np.zeros((len(outlines), 2)), np.ones((len(outlines), 2))
+    for i in np.flatnonzero(valid).tolist():
+        depth = flip[i] * (outlines[i].hull[:, 1] - v)
+        slope = (outlines[i].hull[:, 0] - u) / depth
+        ends = [int(slope.argmin()), int(slope.argmax())]
+        slopes[i], depths[i] = slope[ends], depth[ends]
+
+    frame = (boxes[:, 0, None], y0[:, None], boxes[:, 2, None], y1[:, None], u, (flip * v)[:, None])
+    raw, on_side = _candidates(slopes, *frame)
+    height = (y1 - y0)[:, None]
+    c = np.clip(raw, y0[:, None], y1[:, None])
+    if rule is Rule.WIDER:
+        chosen = c.min(axis=1)
+    else:
+        shift = _TANGENT_SHIFT * np.sqrt(1 + slopes**2) / depths
+        ahead, _ = _candidates(slopes + shift, *frame, on_side=on_side, towards=slopes)
+        behind, _ = _candidates(slopes - shift, *frame, on_side=on_side, towards=slopes)
+        with np.errstate(invalid="ignore"):  # infinite only where not valid
+            weight = 1 / np.maximum(np.abs(ahead - behind) / 2, 1e-6) ** 2
+        # A weighted mean may leave its terms' range by a rounding error.
+        chosen = np.clip((c * weight).sum(axis=1) / weight.sum(axis=1), c.min(axis=1), c.max(axis=1))
+    # Back to shares of the box's height, measured from its top in the unflipped image.
+    shares = (np.concatenate([c, chosen[:, None]], axis=1) - y0[:, None]) / height
+    shares = np.where(below[:, None], 1 - shares, shares)
+    shares[~valid] = np.nan
+    return MaskLabels(boxes, shares[:, 2], shares[:, :2], valid)
+
+
+def _candidates(
+    slopes: Array,
+    x0: Array,
+    y0: Array,
+    x1: Array,
+    y1: Array,
+    u: float,
+    v: Array,
+    *,
+    on_side: NDArray[np.bool_] | None = None,
+    towards: Array | None = None,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """y of the top front edge by tangents of these slopes (N, 2); VPU lies above.
+
+    `on_side` and `towards` keep the branch of other slopes, to measure how a candidate moves within it.
+    """
+    towards = slopes if towards is None else towards
+    side = np.where(towards > 0, x1, x0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_side = v + (side - u) / np.where(np.abs(slopes) > 1e-12, slopes, 1e-12)
+        corner = np.where(u < x0, x0, x1)
+        at_bottom = v + (y0 - v) * slopes * (y1 - v) / np.where(corner == u, np.nan, corner - u)
+    if on_side is None:
+        # With VPU between the sides a tangent can only leave through a side; pixel borders may say otherwise.
+        on_side = (at_side <= y1) | ((u >= x0) & (u <= x1))
+    return np.where(on_side, at_side, at_bottom), on_side

@@ -1,0 +1,296 @@
+"""The mask job: videos with instance masks -> rectified frames with labels."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labelgen.datasets.scene import Scene
+from labelgen.errors import LabelgenError
+from labelgen.geometry.camera import Camera
+from labelgen.geometry.outline_label import Rule
+from labelgen.geometry.rectification import Rectification
+from labelgen.geometry.road_mask import RoadMask
+from labelgen.geometry.vanishing_pair import Pair, Region
+from labelgen.jobs.runner import Job, Progress, finished_part
+from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
+from labelgen.labels import Sample
+from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
+from labelgen.media.frames import Frame, FrameSource, open_frames
+from labelgen.media.image_folder import ImageFolder
+from labelgen.shards import Reject, ShardReader, ShardWriter
+from labelgen.shards.image_codec import ImageCodec
+
+__all__ = ["MaskSettings", "VideoUnit", "video_job"]
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """Where masks come from and how they become labels.
+
+    Args:
+        masks: "maskrcnn", "background" or "coco:FILE".
+        weights: state dict for Mask R-CNN instead of the COCO weights.
+        score: least score of a mask.
+        rule: how c_c's two candidates become one.
+        limits: what to refuse.
+        device: torch device; None for the GPU when there is one.
+    """
+
+    masks: str = "maskrcnn"
+    weights: Path | None = None
+    score: float = 0.5
+    rule: Rule = Rule.WIDER
+    limits: LabelLimits = LABEL_LIMITS
+    device: str | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """For the shards' settings."""
+        kind, _, file = self.masks.partition(":")
+        return {
+            "masks": kind,
+            "masks_sha256": _digest(Path(file)) if file else None,
+            "weights_sha256": _digest(self.weights) if self.weights else None,
+            "score": self.score,
+            "rule": str(self.rule),
+            "min_height_px": self.limits.min_height_px,
+        }
+
+
+def _digest(path: Path) -> str | None:
+    if not path.is_file():
+        return None  # the mask source says what is wrong with it
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def video_job(
+    scenes: Sequence[Scene],
+    pair: Pair,
+    size_wh: tuple[int, int],
+    settings: MaskSettings,
+    *,
+    region: Region = Region.ROAD,
+    every: int = 25,
+    limit: int | None = None,
+    per_shard: int = 500,
+    codec: ImageCodec | None = None,
+) -> Job:
+    """Plan the labels of videos.
+
+    Everything that can be wrong with the calibration, the road mask and the mask source is found out here,
+    before anything is written.
+
+    Args:
+        scenes: the inputs.
+        pair, size_wh: the rectification.
+        settings: where masks come from.
+        region: what is rectified.
+        every: take every so many-th frame.
+        limit: stop after so many taken frames of each video.
+        per_shard: taken frames in a shard, with or without vehicles.
+        codec: how images are stored.
+    """
+    codec = codec or ImageCodec()
+    common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
+    units: list[VideoUnit] = []
+    inputs = {}
+    for number, scene in enumerate(_with_distinct_names(scenes)):
+        assert scene.frames_path is not None
+        prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{scene.name}"
+        unit = VideoUnit(scene, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix)
+        unit.check()
+        if number == 0:
+            unit.prepare()  # the mask source is the same for all
+        units.append(unit)
+        used = (scene.frames_path, scene.calibration_path, scene.mask_path)
+        inputs[f"{number}: {scene.name}"] = [_fingerprint(path) for path in used]
+    originals = {unit.scene.name: unit.whereabouts() for unit in units}
+    chosen = {"pair": str(pair), "size": f"{size_wh[0]}x{size_wh[1]}", "limit": limit, "per_shard": per_shard, **common}
+    return Job("bcs-masks", chosen, inputs, units, originals)
+
+
+def _rate_problem(frames: FrameSource, scene: Scene) -> list[str]:
+    """A note where a recording of the data set does not run at the rate that the data set states."""
+    if frames.fps is None or scene.fps is None or abs(frames.fps - scene.fps) <= 0.01 * scene.fps:
+        return []
+    return [f"the video runs at {frames.fps:g} frames per second, the data set says {scene.fps:g}; times may be wrong"]
+
+
+def _with_distinct_names(scenes: Sequence[Scene]) -> list[Scene]:
+    """The scenes, those of the same name numbered; a label's source must say which video it is from."""
+    seen: dict[Path, str] = {}
+    used: Counter[str] = Counter()
+    named = []
+    for scene in scenes:
+        path = Path(scene.frames_path or "").resolve()
+        if path in seen:
+            raise LabelgenError(f"{path}: it is given twice; name each input once")
+        seen[path] = scene.name
+        used[scene.name] += 1
+        again = used[scene.name]
+        named.append(scene if again == 1 else replace(scene, name=f"{scene.name}-{again}"))
+    return named
+
+
+def _fingerprint(path: Path) -> str:
+    """Identity of an input: name, size and the hash of its two ends; videos are too long to hash whole."""
+    if path.is_dir():
+        names = [f"{name}:{(path / name).stat().st_size}" for name in ImageFolder(path).file_names]
+        return f"{path.name} {hashlib.sha256(chr(10).join(names).encode()).hexdigest()[:16]}"
+    size, end = path.stat().st_size, 1 << 20
+    with path.open("rb") as file:
+        digest = hashlib.sha256(file.read(end))
+        file.seek(max(0, size - end))
+        digest.update(file.read(end))
+    return f"{path.name} {size} {digest.hexdigest()[:16]}"
+
+
+@dataclass(frozen=True)
+class VideoUnit:
+    """All shards of one video."""
+
+    scene: Scene
+    pair: Pair
+    size_wh: tuple[int, int]
+    region: Region
+    masks: MaskSettings
+    every: int
+    limit: int | None
+    per_shard: int
+    codec: ImageCodec
+    settings: Mapping[str, Any]
+    prefix: str
+
+    @property
+    def size(self) -> int | None:
+        """Frames it will take, as announced by the container."""
+        announced = self._frames().frame_count
+        if announced is None:
+            return self.limit
+        taken = -(-announced // self.every)
+        return taken if self.limit is None else min(taken, self.limit)
+
+    def whereabouts(self) -> dict[str, str | None]:
+        """Where the originals lie on this machine."""
+        kind, _, file = self.masks.masks.partition(":")
+        return {
+            "path": str(Path(self.scene.frames_path or "").resolve()),
+            "calibration": str(self.scene.calibration_path.resolve()),
+            "road_mask": str(self.scene.mask_path.resolve()),
+            "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
+            "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
+        }
+
+    def _frames(self) -> FrameSource:
+        assert self.scene.frames_path is not None
+        return open_frames(self.scene.frames_path)
+
+    def check(self) -> tuple[FrameSource, Camera, RoadMask, Rectification]:
+        """Open video, calibration and road mask; raises what is wrong with them."""
+        frames = self._frames()
+        camera, road = self.scene.camera(frames.size_wh), self.scene.road()
+        return frames, camera, road, Rectification.of_region(self.region, camera, road, self.pair, self.size_wh)
+
+    def prepare(self) -> tuple[FrameSource, Camera, RoadMask, Rectification, MaskSource]:
+        """Open everything, the mask source too."""
+        frames, camera, road, rectification = self.check()
+        source = create_mask_source(
+            self.masks.masks,
+            weights=self.masks.weights,
+            score_threshold=self.masks.score,
+            road_mask=road.pixels,
+            device=self.masks.device,
+            frame_wh=frames.size_wh,
+        )
+        return frames, camera, road, rectification, source
+
+    def _path(self, out: Path, part: int) -> Path:
+        return out / f"{self.prefix}-{part:05d}.h5"
+
+    def _there(self, out: Path) -> list[ShardReader]:
+        """Shards on disk, in order, up to the first gap."""
+        readers: list[ShardReader] = []
+        expected = {
+            "pair": str(self.pair),
+            "size": f"{self.size_wh[0]}x{self.size_wh[1]}",
+            "source": self.scene.name,
+            "settings": json.dumps(dict(self.settings), sort_keys=True),
+        }
+        while (reader := finished_part(self._path(out, len(readers)), part=len(readers), **expected)) is not None:
+            readers.append(reader)
+        return readers
+
+    def shards(self, out: Path) -> list[Path] | None:
+        """See `Unit`."""
+        readers = self._there(out)
+        if readers and readers[-1].attributes["last"]:
+            return [reader.path for reader in readers]
+        return None
+
+    def run(self, out: Path, progress: Progress) -> None:
+        """See `Unit`."""
+        frames, camera, road, rectification, source = self.prepare()
+        name = self.scene.name
+        have = len(self._there(out))
+        prime_masks(source, frames)
+        with ExitStack() as stack:
+            writer = stack.enter_context(self._writer(out, have))
+            first = have * self.per_shard * self.every  # frames before it are in shards that are there
+            for frame, masks in masked_frames(
+                frames, source, self._takes, lambda number: number >= first, self._part_of
+            ):
+                progress(1)
+                while self._part_of(frame.number) > writer.part:
+                    stack.close()
+                    writer = stack.enter_context(self._writer(out, writer.part + 1))
+                if masks is not None:
+                    self._label(frame, masks, frames.size_wh, rectification, camera, road, writer)
+                if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
+                    break
+            writer.last = True
+            for problem in [*_rate_problem(frames, self.scene), *frames.problems, *source.problems]:
+                writer.reject(Reject(name, -1, -1, "input problem", problem))
+
+    def _label(
+        self,
+        frame: Frame,
+        masks: InstanceMasks,
+        frame_wh: tuple[int, int],
+        rectification: Rectification,
+        camera: Camera,
+        road: RoadMask,
+        writer: ShardWriter,
+    ) -> None:
+        name = self.scene.name
+        if self.region is Region.NONE:
+            labels, rejects = flat_labels(masks, rectification, road.pixels, self.masks.limits)
+        else:
+            labels, rejects = label_masks(masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits)
+        for item, reason, detail in rejects:
+            writer.reject(Reject(name, frame.number, item, reason, detail))
+        if not len(labels):
+            writer.reject(Reject(name, frame.number, -1, "frame without a labelled vehicle"))
+            return
+        encoded = self.codec.encode(rectification.warp_image(frame.image))
+        window = np.array([0.0, 0.0, *frame_wh])
+        split = self.scene.split_of(frame.number)
+        writer.add(Sample(encoded, labels, rectification, camera, name, frame.number, frame.time_s, split, window))
+
+    def _part_of(self, number: int) -> int:
+        return number // (self.per_shard * self.every)
+
+    def _takes(self, number: int) -> bool:
+        return number % self.every == 0
+
+    def _writer(self, out: Path, part: int) -> ShardWriter:
+        path = self._path(out, part)
+        return ShardWriter(path, self.pair, self.size_wh, source=self.scene.name, part=part, settings=self.settings)

@@ -1,0 +1,144 @@
+"""Frames in order, from a video file or a folder of images: one interface for both.
+
+Convention: images are (H, W, 3) uint8 BGR; frames are numbered from 0 in the order they are shown; times are seconds
+since the first frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError
+
+__all__ = ["Frame", "FrameSource", "SparseSource", "always", "grey_of", "open_frames", "shrunk", "sparse_frames"]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame.
+
+    Args:
+        number: position in the source, from 0.
+        time_s: its own time stamp relative to the first frame's; NaN in a folder of images.
+        image: (H, W, 3) uint8 BGR.
+        name: file name in a folder of images, relative to it; empty in a video.
+    """
+
+    number: int
+    time_s: float
+    image: NDArray[np.uint8]
+    name: str = ""
+
+    @cached_property
+    def grey(self) -> NDArray[np.uint8]:
+        """(H, W) uint8, the image without its colours."""
+        return grey_of(self.image)
+
+    def small_grey(self, factor: int) -> NDArray[np.uint8]:
+        """(H // factor, W // factor) uint8 greys, each the mean of the pixels it stands for."""
+        return shrunk(self.grey, factor)
+
+
+def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """A picture (H, W[, C]) uint8 at (H // factor, W // factor), each pixel the mean of those it stands for."""
+    if factor == 1:
+        return picture
+    size = tuple(max(1, n // factor) for n in picture.shape[1::-1])
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) uint8 greys of a picture (H, W, 3) uint8 BGR."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def always(number: int) -> bool:
+    """Every frame is wanted."""
+    return True
+
+
+class FrameSource(Protocol):
+    """Where frames come from.
+
+    Attributes:
+        name: short name for messages and outputs, without the file's suffix.
+        path: the video file or the folder.
+        size_wh: px, after any rotation the file asks for.
+        frame_count: how many frames the file announces; may be wrong; None where it announces nothing.
+        fps: average announced frame rate; None where there is none.
+        problems: what the last iteration had to skip or could not read, one line each.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def path(self) -> Path: ...
+    @property
+    def size_wh(self) -> tuple[int, int]: ...
+    @property
+    def frame_count(self) -> int | None: ...
+    @property
+    def fps(self) -> float | None: ...
+    @property
+    def problems(self) -> list[str]: ...
+
+    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+        """The wanted frames, in order. Every call starts at the beginning; abandoning the iterator is fine.
+
+        Args:
+            wanted: whether the frame of this number is to be converted and given; others cost only their decoding.
+        """
+        ...
+
+
+@runtime_checkable
+class SparseSource(Protocol):
+    """A source that can give a few of its frames for less than all of them cost."""
+
+    def sparse_frames(self, wanted: Callable[[int], bool], not_before_s: Callable[[], float]) -> Iterator[Frame]:
+        """Wanted frames, in order, whose pictures are made when they are asked for.
+
+        Args:
+            wanted: whether the frame of this number is to be given.
+            not_before_s: asked again and again: frames before this time, s, are not wanted and may be passed over
+                undecoded, and so may some after it.
+        """
+        ...
+
+
+def sparse_frames(
+    source: FrameSource, wanted: Callable[[int], bool], not_before_s: Callable[[], float]
+) -> Iterator[Frame]:
+    """Wanted frames of any source; see `SparseSource.sparse_frames`. Where it can pass over none, all wanted come."""
+    if isinstance(source, SparseSource):
+        return source.sparse_frames(wanted, not_before_s)
+    return source.frames(wanted)
+
+
+def open_frames(path: str | Path, *, threads: int = 0) -> FrameSource:
+    """A video file or a folder of images, ready to iterate.
+
+    Args:
+        path: video file in any format FFmpeg reads, or a folder with *.jpg, *.png, *.bmp, *.tif or *.webp files.
+        threads: decoding threads for a video; 0 leaves it to the decoder.
+
+    Raises:
+        DataError: nothing there, or nothing in it that can be read as a frame.
+    """
+    from labelgen.media.image_folder import ImageFolder
+    from labelgen.media.video_reader import VideoFile
+
+    path = Path(path)
+    if path.is_dir():
+        return ImageFolder(path)
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; give a video file or a folder of images")
+    return VideoFile(path, threads=threads)

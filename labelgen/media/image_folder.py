@@ -1,0 +1,76 @@
+"""A folder of images as a source of frames."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError
+from labelgen.media.frames import Frame, always
+from labelgen.media.image_file import read_image
+
+__all__ = ["ImageFolder", "natural_key"]
+
+_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
+
+
+def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Sorting key by which img2 comes before img10; the name itself breaks ties such as img1 and img01."""
+    parts = re.split(r"(\d+)", name.lower())
+    return [(int(part), "") if i % 2 else (-1, part) for i, part in enumerate(parts)], name
+
+
+class ImageFolder:
+    """The images of one folder, in natural order, as a `labelgen.media.frames.FrameSource`.
+
+    Files that start with a dot and subfolders are left alone. A frame's number is its place among all image files, so
+    an unreadable one leaves a gap and does not renumber the others.
+
+    Raises:
+        DataError: no such folder, no image file in it, or none that can be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.name = self.path.resolve().name
+        self.fps: float | None = None
+        self.problems: list[str] = []
+        try:
+            names = [p.name for p in self.path.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file()]
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be listed ({error.strerror})") from None
+        self.file_names = sorted((n for n in names if not n.startswith(".")), key=natural_key)
+        if not self.file_names:
+            raise DataError(f"{self.path}: no images in this folder; expected files such as *.jpg or *.png")
+        self.frame_count: int | None = len(self.file_names)
+        first = next((image for name in self.file_names if (image := _read(self.path / name)) is not None), None)
+        if first is None:
+            raise DataError(f"{self.path}: none of its {len(self.file_names)} image files can be read")
+        self.size_wh = (first.shape[1], first.shape[0])
+
+    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+        """The wanted frames; see `FrameSource.frames`. Afterwards `problems` lists the files that were skipped."""
+        self.problems = []
+        for number, name in enumerate(self.file_names):
+            if not wanted(number):
+                continue
+            image = _read(self.path / name)
+            if image is None:
+                self.problems.append(f"{name}: cannot be read as an image, skipped")
+            elif (image.shape[1], image.shape[0]) != self.size_wh:
+                now, was = (f"{w}x{h}" for w, h in ((image.shape[1], image.shape[0]), self.size_wh))
+                self.problems.append(f"{name}: {now} px instead of the first image's {was}, skipped")
+            else:
+                yield Frame(number, math.nan, image, name)
+
+
+def _read(path: Path) -> NDArray[np.uint8] | None:
+    try:
+        return read_image(path)
+    except DataError:
+        return None

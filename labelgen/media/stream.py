@@ -1,0 +1,166 @@
+"""Camera streams: frames from a URL, read once, for as long as they come.
+
+Unlike a file a stream cannot be started again, has no length, may stop sending without ending, and may change its
+resolution while it runs. Each of these ends the iteration in a way that `VideoStream` can tell afterwards.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from av.error import ExitError, FFmpegError
+from numpy.typing import NDArray
+
+from labelgen.errors import DataError
+from labelgen.media.frames import Frame, always
+
+__all__ = ["VideoStream", "is_stream"]
+
+_PROTOCOLS = ("http", "https", "rtsp", "rtmp", "rtp", "udp", "tcp", "srt")
+# What these protocols need below them; never the file system.
+_OPEN_OPTIONS = {"protocol_whitelist": ",".join([*_PROTOCOLS, "tls", "httpproxy", "crypto"]), "rtsp_transport": "tcp"}
+
+
+def is_stream(source: str) -> bool:
+    """Whether a source is a URL that FFmpeg reads over the network."""
+    match = re.match(r"([a-z]+)://", source.lower())
+    return match is not None and match[1] in _PROTOCOLS
+
+
+class VideoStream:
+    """A camera stream as a `labelgen.media.frames.FrameSource` that can be iterated once.
+
+    Frames that the camera or the network drops leave a jump in the time stamps and are counted in `problems`.
+
+    Args:
+        url: of one of the protocols above.
+        duration_s: stop after this much of the stream, or this much of waiting; None goes on until it ends.
+        stall_s: seconds without data after which it counts as stalled.
+
+    Attributes:
+        failure: why the last iteration ended before its time, as an error to raise; None where all went well or the
+            stream simply ended.
+
+    Raises:
+        DataError: nothing answers, or what answers is no video.
+    """
+
+    frame_count: int | None = None
+
+    def __init__(self, url: str, *, duration_s: float | None = None, stall_s: float = 10.0) -> None:
+        self.url, self.path = url, Path(url.rsplit("/", 1)[-1].split("?")[0] or "stream")
+        self.name = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.path.stem) or "stream"
+        self.problems: list[str] = []
+        self.failure: DataError | None = None
+        self._duration_s, self._stall_s = duration_s, stall_s
+        self._started_s = time.monotonic()
+        try:
+            self._container: Any = av.open(url, options=_OPEN_OPTIONS, timeout=(stall_s, stall_s))
+        except ExitError:
+            raise DataError(f"stream {url}: no answer for {stall_s:g} s; check the address and the camera") from None
+        except FFmpegError as error:
+            raise DataError(f"stream {url}: cannot be opened ({_reason(error)}); check the address") from None
+        if not self._container.streams.video:
+            self._container.close()
+            raise DataError(f"stream {url}: there is no video in it")
+        stream = self._container.streams.video[0]
+        stream.thread_type = "AUTO"
+        self._base = float(stream.time_base) if stream.time_base else math.nan
+        self.fps = float(stream.average_rate or stream.guessed_rate or 0) or None
+        self._decoded = self._decode(stream)
+        first = next(self._decoded, None)
+        if first is None:
+            self._container.close()
+            raise self.failure or DataError(f"stream {url}: it ended before its first frame")
+        self._first, self._begun = first, False
+        self.size_wh = (int(first.width), int(first.height))
+
+    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+        """The wanted frames; see `FrameSource.frames`. It can be called once: what has come has gone.
+
+        Raises:
+            DataError: called again.
+        """
+        if self._begun:
+            raise DataError(f"stream {self.url}: it can be read only once")
+        self._begun = True
+        number, latest, dropped = -1, 0.0, 0
+        try:
+            for number, decoded in enumerate(itertools.chain([self._first], self._decoded)):
+                time_s = self._time(decoded, number)
+                if (decoded.width, decoded.height) != self.size_wh:
+                    now, was = ("{}x{}".format(*wh) for wh in ((decoded.width, decoded.height), self.size_wh))
+                    self.failure = DataError(
+                        f"stream {self.url}: its resolution changed from {was} to {now} at frame {number} "
+                        f"({time_s:.1f} s); the calibration no longer fits, so measuring ended there"
+                    )
+                    return
+                if self.fps and time_s - latest > 1.5 / self.fps:
+                    dropped += round((time_s - latest) * self.fps) - 1
+                latest = max(latest, time_s)
+                if self._over(time_s):
+                    return
+                if wanted(number):
+                    yield Frame(number, time_s, _image(decoded))
+            if self.failure is None and self._duration_s is not None:
+                self.problems.append(f"the stream ended after {latest:.1f} s, {number + 1} frames")
+        finally:
+            if dropped:
+                self.problems.append(f"about {dropped} frames were dropped on the way; time stamps make up for them")
+            self._container.close()
+
+    def _time(self, decoded: Any, number: int) -> float:
+        if decoded.pts is None or self._first.pts is None or math.isnan(self._base):
+            return number / self.fps if self.fps else math.nan
+        return float((decoded.pts - self._first.pts) * self._base)
+
+    def _over(self, time_s: float) -> bool:
+        if self._duration_s is None:
+            return False
+        waited = time.monotonic() - self._started_s
+        # A stream that trickles would never come to its end by its own clock.
+        return time_s >= self._duration_s or waited > self._duration_s + self._stall_s
+
+    def _decode(self, stream: Any) -> Iterator[Any]:
+        """Frames as they come; a damaged packet is skipped, and what ends the stream is kept in `failure`."""
+        damaged, seen = 0, 0
+        packets = self._container.demux(stream)
+        while True:
+            try:
+                packet = next(packets, None)
+            except ExitError:
+                self.failure = DataError(
+                    f"stream {self.url}: stalled, no data for {self._stall_s:g} s after {seen} frames"
+                )
+                break
+            except (FFmpegError, EOFError):
+                break  # a closed connection is how many streams end
+            if packet is None:
+                break
+            try:
+                decoded = packet.decode()
+            except (FFmpegError, EOFError):
+                damaged += 1
+                continue
+            for frame in decoded:
+                seen += 1
+                yield frame
+        if damaged:
+            self.problems.append(f"{damaged} damaged packets skipped")
+
+
+def _reason(error: FFmpegError) -> str:
+    return (error.strerror or type(error).__name__).lower()
+
+
+def _image(decoded: Any) -> NDArray[np.uint8]:
+    image: NDArray[np.uint8] = np.ascontiguousarray(decoded.to_ndarray(format="bgr24"))
+    return image

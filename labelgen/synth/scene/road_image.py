@@ -1,0 +1,266 @@
+"""A picture of an empty road, drawn from nothing: asphalt, markings, verge, what stands there, woods and sky."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.synth.scene.placement import clutter
+from labelgen.synth.scene.road_markings import Surface, draw_surface
+from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.static_layer import NO_SHADE, Shade, Still, draw_props, draw_shade, without_view_blockers
+from labelgen.synth.shading.lighting import Light, Weather
+
+__all__ = ["draw_road", "draw_scene"]
+
+_TILE = 512
+_STRIP = 48
+_SS = 2
+Plane = NDArray[np.float32]
+
+
+def _noise_tile(rng: np.random.Generator, cells: tuple[float, ...]) -> Plane:
+    """(512, 512) noise that repeats, zero mean and unit spread: white noise blurred at several scales, summed."""
+    total = np.zeros((_TILE, _TILE), dtype=np.float32)
+    for sigma in cells:
+        white: Any = rng.normal(size=(_TILE, _TILE)).astype(np.float32)
+        if sigma > 0:
+            pad = int(4 * sigma) + 1
+            white = cv2.GaussianBlur(np.pad(white, pad, mode="wrap"), (0, 0), sigma)[pad:-pad, pad:-pad]
+        total += white / white.std()
+    out: Plane = total / total.std()
+    return out
+
+
+def _lookup(tile: Plane, x: Plane, y: Plane, metres: float) -> Plane:
+    k = np.float32(_TILE / metres)
+    out: Plane = tile[(y * k).astype(np.int32) & (_TILE - 1), (x * k).astype(np.int32) & (_TILE - 1)]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What is decided once per picture: noise, colours, wear and how far things lie."""
+
+    grain: Plane
+    patches: Plane
+    grass: Plane
+    crowns: Plane
+    leaves: Plane
+    verge: Plane
+    dry: Plane
+    bare: float
+    paint: Plane
+    edge_paint: Plane
+    shoulder: float
+    tracks: tuple[float, float]
+    dash: tuple[float, float, float]
+    woods: tuple[tuple[float, float], ...]
+
+
+_VERGES = (
+    ((0.055, 0.085, 0.022), (0.16, 0.135, 0.075), 0.5),
+    ((0.16, 0.135, 0.085), (0.24, 0.20, 0.14), 0.2),
+    ((0.20, 0.19, 0.18), (0.25, 0.24, 0.22), 0.2),
+    ((0.085, 0.10, 0.040), (0.26, 0.22, 0.13), 0.1),
+)
+"""Colours of the ground beside roads and how common they are: grass, earth, paving, dry grass."""
+
+
+def _look(scene: Scene, rng: np.random.Generator) -> _Look:
+    borders = carriageways(scene)
+    dash, period = ((3.0, 9.0), (6.0, 18.0), (3.0, 12.0), (4.0, 10.0))[int(rng.integers(4))]
+    ground, dry, _ = _VERGES[int(rng.choice(len(_VERGES), p=[v[2] for v in _VERGES]))]
+    white = np.array([0.62, 0.62, 0.59], dtype=np.float32) * np.float32(rng.uniform(0.6, 1.0))
+    yellow = np.array([0.58, 0.36, 0.05], dtype=np.float32)
+    sides = ((min(b[0] for b in borders), -1), (max(b[1] for b in borders), 1))
+    woods = [(edge + side * rng.uniform(9, 34), rng.uniform(3.5, 11.0)) for edge, side in sides if rng.random() < 0.6]
+    return _Look(
+        _noise_tile(rng, (0.0, 1.0)),
+        _noise_tile(rng, (4.0, 16.0, 40.0)),
+        _noise_tile(rng, (0.7, 2.0, 8.0)),
+        _noise_tile(rng, (1.0, 3.0, 9.0)),
+        _noise_tile(rng, (0.8, 2.5, 6.0)),
+        np.array(ground, dtype=np.float32) * np.float32(rng.uniform(0.7, 1.3)),
+        np.array(dry, dtype=np.float32),
+        rng.uniform(0.1, 0.9),
+        white,
+        yellow if rng.random() < 0.25 else white,
+        rng.uniform(0.3, 2.8),
+        (rng.uniform(0.0, 0.12), rng.uniform(0.02, 0.16) if rng.random() < 0.7 else rng.uniform(0.15, 0.45)),
+        (dash, period, rng.uniform(0, period)),
+        tuple(woods),
+    )
+
+
+def draw_road(scene: Scene, light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """The empty road of a procedural scene, without anything beside it: (H, W, 3) uint8 BGR."""
+    look, surface = _look(scene, rng), draw_surface(scene, rng)
+    return _finished(_painted(scene, light, look, surface, NO_SHADE))
+
+
+def draw_scene(scene: Scene, light: Light, rng: np.random.Generator) -> tuple[NDArray[np.uint8], Still | None]:
+    """The empty road of a procedural scene with all that stands beside it.
+
+    Returns:
+        (H, W, 3) uint8 BGR, and what of it may hide vehicles; None when nothing stands there.
+    """
+    look, surface = _look(scene, rng), draw_surface(scene, rng)
+    props = without_view_blockers(scene, clutter(scene, look.shoulder, rng))
+    shade = draw_shade(scene, light, props)
+    image, still = draw_props(_painted(scene, light, look, surface, shade), scene.camera, light, props, shade)
+    return _finished(image), still
+
+
+def _painted(scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade) -> Plane:
+    assert scene.camera.image_wh is not None
+    width, height = scene.camera.image_wh
+    columns = ((np.arange(_SS * width) + 0.5) / _SS)[None]
+    image = np.empty((height, width, 3), dtype=np.float32)
+    for top in range(0, height, _STRIP):
+        bottom = min(top + _STRIP, height)
+        rows = (top + (np.arange(_SS * (bottom - top)) + 0.5) / _SS)[:, None]
+        levels = light.grey_levels(_strip(scene, light, look, surface, shade, columns, rows))
+        image[top:bottom] = cv2.resize(levels[..., ::-1], (width, bottom - top), interpolation=cv2.INTER_AREA)
+    return image
+
+
+def _finished(image: Plane) -> NDArray[np.uint8]:
+    return np.clip(cv2.GaussianBlur(image, (0, 0), 0.55), 0, 255).astype(np.uint8)
+
+
+def _strip(
+    scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade, columns: NDArray[Any], rows: NDArray[Any]
+) -> Plane:
+    """(h, w, 3) radiance of some rows of samples."""
+    camera = scene.camera
+    axes = camera.axes
+    dx, dy = columns - camera.pp[0], rows - camera.pp[1]
+    rays = [(axes[k, 0] * dx + axes[k, 1] * dy + axes[k, 2] * camera.focal).astype(np.float32) for k in range(3)]
+    down = -rays[2]
+    reach = np.float32(camera.height_m) / np.maximum(down, np.float32(1e-3))
+    x, y = rays[0] * reach, rays[1] * reach
+    sky = (down <= 1e-3) | (x * x + y * y > 900.0**2)
+    x, y = np.where(sky, np.float32(0), x), np.where(sky, np.float32(0), y)
+    # One sample covers this many metres: detail finer than that must fade out.
+    footprint = (x * x + y * y + np.float32(camera.height_m**2)) * np.float32(
+        1 / (_SS * camera.height_m * camera.focal)
+    )
+    sun = (light.sun * max(light.sun_direction[2], 0.0)).astype(np.float32)
+    sunlight = sun * shade.at(shade.sun, x, y)[..., None]
+    sunlight = sunlight + light.ambient.astype(np.float32) * shade.at(shade.sky, x, y)[..., None]
+    radiance = _ground(scene, light, look, surface, x, y, footprint) * sunlight
+    if light.weather is Weather.RAIN:
+        radiance = _wet(scene, light, look, radiance, x, y)
+    radiance = light.through_air(radiance, np.sqrt(x * x + y * y + np.float32(camera.height_m**2))[..., None])
+    if sky.any():
+        climb = np.clip(rays[2] / np.float32(0.8 * camera.focal), 0, 1)[..., None]
+        low, high = light.sky_low.astype(np.float32), light.sky_high.astype(np.float32)
+        radiance = np.where(sky[..., None], low + (high - low) * np.sqrt(climb), radiance)
+    for wood in look.woods:
+        radiance = _woods(scene, light, look, radiance, rays, wood)
+    return np.asarray(radiance, dtype=np.float32)
+
+
+def _soft(value: Any, width: Any) -> Any:
+    """0 to 1 around zero, over `width`."""
+    return np.clip(value / np.maximum(width, np.float32(1e-4)) + np.float32(0.5), 0, 1)
+
+
+def _ground(scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane) -> Plane:
+    """Albedo of grass, gravel, asphalt and markings."""
+    grain = _lookup(look.grain, x, y, 6.0) * np.clip(0.012 / footprint, 0, 1)
+    patches = _lookup(look.patches, x, y * 2.5, 40.0) + 0.6 * _lookup(look.patches, x * 0.13, y, 17.0)
+    mix = np.clip(look.bare + 0.25 * _lookup(look.patches, x, y, 23.0), 0, 1)[..., None]
+    blades = np.exp(0.35 * _lookup(look.grass, x, y, 9.0) * np.clip(0.05 / footprint, 0.15, 1))
+    colour = (look.verge * (1 - mix) + look.dry * mix) * blades[..., None]
+    asphalt = light.road.astype(np.float32) * (1 + 0.10 * grain + 0.05 * patches)[..., None]
+    gravel = np.array([0.21, 0.20, 0.18], dtype=np.float32) * (1 + 0.18 * grain + 0.06 * patches)[..., None]
+    for low, high, inner in carriageways(scene):
+        for extra, layer in ((look.shoulder + 0.9, gravel), (look.shoulder, asphalt * 1.08)):
+            inside = _soft(y - (low - extra), footprint + 0.06) * _soft(high + extra - y, footprint + 0.06)
+            colour = colour * (1 - inside[..., None]) + layer * inside[..., None]
+        inside = _soft(y - low + 0.3, footprint) * _soft(high + 0.3 - y, footprint)
+        wear = _wear_across(look, y, [low, *inner, high])
+        colour = colour * (1 - inside[..., None]) + asphalt * (wear * inside)[..., None]
+        colour = _markings(look, colour, x, y, footprint, (low, high, inner), patches + grain)
+    lying, tone = surface.at(x, y, footprint)
+    lying = (lying * np.clip(0.85 - 0.12 * (patches + grain), 0.2, 1))[..., None]
+    colour = colour * tone[..., None] * (1 - lying) + look.paint * lying
+    return np.asarray(colour, dtype=np.float32)
+
+
+def _wear_across(look: _Look, y: Plane, lanes: list[float]) -> Plane:
+    """Factor on asphalt: wheels polish two tracks per lane, oil drips between them."""
+    step = 0.02
+    at = np.arange(lanes[0] - 1.0, lanes[-1] + 1.0, step)
+    profile = np.ones_like(at, dtype=np.float32)
+    for a, b in pairwise(lanes):
+        middle = (a + b) / 2
+        for side in (-0.85, 0.85):
+            profile += look.tracks[0] * np.exp(-(((at - middle - side) / 0.28) ** 2))
+        profile -= look.tracks[1] * np.exp(-(((at - middle) / 0.45) ** 2))
+    out: Plane = profile[((y - np.float32(at[0])) * np.float32(1 / step)).astype(np.int32).clip(0, len(at) - 1)]
+    return out
+
+
+def _markings(
+    look: _Look, colour: Any, x: Plane, y: Plane, footprint: Plane, way: tuple[float, float, list[float]], wear: Plane
+) -> Any:
+    low, high, inner = way
+    dash, period, phase = look.dash
+
+    def stripe(at: float, width: float) -> Any:
+        return _soft(y - (at - width / 2), footprint) * _soft(at + width / 2 - y, footprint)
+
+    along = np.mod(x + np.float32(phase), np.float32(period))
+    long = footprint * 6
+    dashes = _soft(along, long) * _soft(dash - along, long)
+    between = np.zeros_like(y)
+    for at in inner:
+        between = np.maximum(between, stripe(at, 0.13) * dashes)
+    worn = np.clip(0.9 - 0.12 * wear, 0.3, 1)
+    for cover, paint in ((np.maximum(stripe(low, 0.20), stripe(high, 0.20)), look.edge_paint), (between, look.paint)):
+        share = np.clip(cover * worn, 0, 1)[..., None]
+        colour = colour * (1 - share) + paint * share
+    return colour
+
+
+def _wet(scene: Scene, light: Light, look: _Look, radiance: Any, x: Plane, y: Plane) -> Any:
+    """Sky mirrored in a film of water, more the flatter one looks."""
+    height = scene.camera.height_m
+    cosine = height / np.sqrt(x * x + y * y + height**2)
+    film = 0.85 + 0.12 * np.clip(_lookup(look.patches, x * 0.2, y, 26.0), -1, 1)
+    paved = np.zeros_like(y)
+    for low, high, _ in carriageways(scene):
+        paved = np.maximum(paved, _soft(y - low + look.shoulder, 0.3) * _soft(high + look.shoulder - y, 0.3))
+    share = np.clip((0.02 + 0.5 * (1 - cosine) ** 5) * film * paved, 0, 1).astype(np.float32)[..., None]
+    return radiance * (1 - share) + light.sky_low.astype(np.float32) * share
+
+
+def _woods(scene: Scene, light: Light, look: _Look, radiance: Any, rays: list[Plane], wood: tuple[float, float]) -> Any:
+    """A row of bushes and trees along the road as an upright screen of leaves. `wood`: y, and height in metres."""
+    side, high = wood
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.float32(side) / rays[1]
+        hit_x, hit_z = t * rays[0], np.float32(scene.camera.height_m) + t * rays[2]
+        behind = ~((t > 0) & (hit_z > 0) & (np.abs(hit_x) < 700))
+    hit_x, hit_z = np.where(behind, np.float32(0), hit_x), np.where(behind, np.float32(0), hit_z)
+    ragged = 0.5 * _lookup(look.leaves, hit_x * 1.7, hit_z, 23.0)
+    tall = high * (1 + 0.22 * _lookup(look.crowns, hit_x, np.full_like(hit_x, abs(side)), 90.0)) + ragged
+    seen = ~behind & (hit_z < tall)
+    if not seen.any():
+        return radiance
+    footprint = np.abs(t) * np.float32(1 / _SS)
+    clumps = _lookup(look.leaves, hit_x, hit_z * 0.9, 30.0)
+    leaves = _lookup(look.leaves, hit_x, hit_z, 8.0) * np.clip(0.10 / np.maximum(footprint, 1e-3), 0, 1)
+    depth = np.clip(0.35 + 0.75 * hit_z / tall, 0.3, 1.1)
+    tone = np.array([0.045, 0.062, 0.020], dtype=np.float32) * (light.sun * 0.6 + light.ambient).astype(np.float32)
+    shaded = tone * (depth * np.exp(0.42 * clumps + 0.38 * leaves))[..., None]
+    far = np.sqrt(hit_x * hit_x + np.float32(side**2))[..., None]
+    return np.where(seen[..., None], light.through_air(shaded.astype(np.float32), far), radiance)

@@ -1,0 +1,359 @@
+"""A synthetic recording in the layout of BrnoCompSpeed, with its exact truth beside it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.atomic_files import make_folder, write_atomic, write_json
+from labelgen.datasets.scene import is_session
+from labelgen.errors import OutputError
+from labelgen.progress import asked_to_stop
+from labelgen.synth.renderer.renderer import Drawn, Placed, Renderer
+from labelgen.synth.scene.road_image import draw_scene
+from labelgen.synth.scene.scene import Scene, procedural_scene, visible_range
+from labelgen.synth.scene.static_layer import Still
+from labelgen.synth.scene.traffic import Trip, near_path_x, random_traffic
+from labelgen.synth.sensor.sensor import PLAIN, Sensor, make_sensor
+from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
+from labelgen.synth.truth.writer import TruthWriter
+from labelgen.synth.vehicle.vehicle import Vehicle, check_kinds, check_plates
+
+__all__ = ["SessionSummary", "place", "write_session"]
+
+
+@dataclass(frozen=True)
+class SessionSummary:
+    """What was written.
+
+    Args:
+        name: of the session.
+        frames: rendered.
+        vehicles: that drove.
+        masks: in all frames together.
+        complete: False after an interruption.
+        files: name -> path.
+        measured: what was found in the video that the scene was taken from, in words; empty without one.
+    """
+
+    name: str
+    frames: int
+    vehicles: int
+    masks: int
+    complete: bool
+    files: dict[str, str]
+    measured: dict[str, str]
+
+
+def place(trip: Trip, vehicle: Vehicle, time_s: float) -> Placed:
+    """Where a vehicle is at a time."""
+    near = trip.near_point(time_s)
+    centre = near + np.array([trip.size_lwh[0] / 2, 0.0])
+    return Placed(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s))
+
+
+def write_session(
+    out: Path,
+    *,
+    duration_s: float = 20.0,
+    fps: float | None = None,
+    size_wh: tuple[int, int] = (1920, 1080),
+    seed: int = 0,
+    name: str | None = None,
+    weather: Weather | None = None,
+    per_minute: float = 18.0,
+    kinds: Sequence[str] | None = None,
+    plates: str | None = None,
+    heading: int | None = None,
+    scene: Path | None = None,
+    replay: bool = False,
+    start_s: float | None = None,
+    calibration: Path | None = None,
+    road_mask: Path | None = None,
+    sun: tuple[float, float] | None = None,
+    say: Callable[[str], object] = print,
+    video: bool = True,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> SessionSummary:
+    """Write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`.
+
+    Args:
+        out: root of the tree.
+        duration_s: length.
+        fps: frames per second; when None 25, or those of the video that `scene` names.
+        size_wh: frame size; with `scene` that of its picture.
+        seed: everything that varies comes from it.
+        name: of the session, session0_center when None; with `scene` that of the real one.
+        weather: light; when None at random, overcast in a real session, as it looks in a video.
+        per_minute: vehicles per lane and minute.
+        kinds: body types to use; by their shares in traffic when None.
+        plates: one of `labelgen.synth.vehicle.parts.PLATES`; of all kinds when None.
+        heading: +1 traffic drives away, -1 it comes closer; when None at random, or as seen in a video. Not with a
+            real session.
+        scene: folder of a real session, `ROOT/dataset/sessionN_x`, or anybody's video of a fixed camera above a road.
+        replay: re-enact the scene's recorded traffic.
+        start_s: with `replay`, where in the recording to begin; shortly before the first recorded crossing when None.
+        calibration, road_mask: of the video that `scene` names; looked for beside it, or made from it, when None.
+        sun: with such a video, degrees: the sun's height and how far right of straight ahead it stands; by the shadows
+            of its vehicles when None.
+        say: is told, in a line, what was made of such a video.
+        video: whether to render; without, only boxes and tracks are written.
+        overwrite: whether an existing session may be replaced.
+        progress: show a bar.
+
+    Raises:
+        OutputError: the session exists, or cannot be written.
+        DataError: the scene cannot be read, or nothing is known of its traffic.
+        CalibrationError: the video that `scene` names has no calibration and cannot carry one.
+    """
+    check_kinds(kinds or [])
+    check_plates(plates)
+    if scene is None:
+        if replay:
+            raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
+        setting = _made_up(seed, size_wh, heading, name or "session0_center", weather)
+    elif is_session(scene):
+        setting = _real(scene, weather, seed)
+    else:
+        if replay:
+            raise OutputError(f"--replay: {scene} has no recorded traffic (gt_data.pkl) to re-enact; leave it out")
+        setting = _own(
+            scene, weather, seed, out, say, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
+            plates=plates,
+        )  # fmt: skip
+    fps = fps or setting.fps
+    if replay and setting.surveyed is not None:
+        from labelgen.synth.truth.replay import replayed_traffic
+
+        trips = replayed_traffic(setting.scene, setting.surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+    else:
+        trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
+    folders = _folders(out, setting.scene.name, overwrite)
+    done = _render(
+        folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress
+    )
+    files = _write_beside(folders, setting, trips, done, fps)
+    return SessionSummary(
+        setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """A place, its light and its camera. `surveyed`: a real session's gt_data.pkl; `measured`: see `OwnCamera`."""
+
+    scene: Scene
+    light: Light
+    still: Still | None
+    sensor: Sensor
+    surveyed: dict[str, Any] | None = None
+    fps: float = 25.0
+    measured: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Done:
+    """How far the rendering came."""
+
+    complete: bool
+    frames: int
+    masks: int
+    cars: list[dict[str, Any]]
+
+
+def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None) -> _Setting:
+    """A made-up road with its picture."""
+    rng = np.random.default_rng([seed, 1])
+    scene = procedural_scene(rng, size_wh, heading=heading, name=name)
+    light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.52, 0.30, 0.06, 0.12]))], rng)
+    light = varied_light(light, rng)
+    background, still = draw_scene(scene, light, rng)
+    return _Setting(replace(scene, background=background), light, still, make_sensor(rng))
+
+
+def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
+    """A real session's place."""
+    from labelgen.synth.truth.replay import load_scene
+
+    scene, light, surveyed = load_scene(folder, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
+    return _Setting(scene, light, None, PLAIN, surveyed)
+
+
+def _own(
+    video: Path, weather: Weather | None, seed: int, out: Path, say: Callable[[str], object], **given: Any
+) -> _Setting:
+    """The place that somebody's own video shows. `given`: see `load_own_camera`."""
+    from labelgen.synth.fitting.own_camera import load_own_camera
+
+    rng = np.random.default_rng([seed, 1])
+    own = load_own_camera(video, lambda name: out / "camera" / name, say, rng, weather=weather, **given)
+    return _Setting(own.scene, own.light, None, own.sensor, None, own.fps, own.measured)
+
+
+def _folders(out: Path, name: str, overwrite: bool) -> dict[str, Path]:
+    folders = {part: out / part / name for part in ("dataset", "results", "truth")}
+    for folder in folders.values():
+        if folder.exists() and any(folder.iterdir()) and not overwrite:
+            raise OutputError(f"{folder}: it exists already; use --overwrite or another --out")
+        make_folder(folder)
+    return folders
+
+
+def _write_beside(
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], done: _Done, fps: float
+) -> dict[str, str]:
+    """The files that belong to a rendered video; returns all by name."""
+    scene = setting.scene
+    assert scene.background is not None
+    write_atomic(folders["dataset"] / "video_mask.png", _png(scene.road_mask.astype(np.uint8) * 255))
+    empty = scene.background
+    if not setting.sensor.in_picture:
+        empty = setting.sensor.before_noise(empty)
+        setting.sensor.write(empty, 0.0)
+    write_atomic(folders["dataset"] / "screen.png", _png(empty))
+    calibration = scene.camera.to_dict()
+    write_json(folders["results"] / "system_truth.json", {**calibration, "cars": done.cars})
+    write_json(folders["results"] / "system_optimal_calibration.json", calibration)
+    gt = ground_truth(scene, trips, done.frames / fps, fps, setting.surveyed)
+    write_atomic(folders["dataset"] / "gt_data.pkl", pickle.dumps(gt, protocol=2))
+    files = {
+        "video": folders["dataset"] / "video.avi",
+        "calibration": folders["results"] / "system_optimal_calibration.json",
+        "tracks": folders["results"] / "system_truth.json",
+        "masks": folders["truth"] / "masks.json",
+        "boxes": folders["truth"] / "boxes.jsonl",
+    }
+    return {k: str(v) for k, v in files.items() if v.exists()}
+
+
+def _render(
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int,
+    plates: str | None, *, video: bool, progress: bool,
+) -> _Done:  # fmt: skip
+    from contextlib import ExitStack
+
+    from tqdm import tqdm
+
+    from labelgen.media.video_writer import VideoWriter
+
+    scene, light = setting.scene, setting.light
+    assert scene.background is not None
+    done, masks, complete = 0, 0, True
+    spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
+    vehicles: dict[int, Vehicle] = {}
+    with ExitStack() as stack:
+        truth = stack.enter_context(TruthWriter(folders["truth"], scene.camera, fps))
+        truth.describe(trips)
+        renderer = Renderer(
+            scene.camera, scene.background, light, seed=seed, still=setting.still, sensor=setting.sensor
+        )
+        path = folders["dataset"] / "video.avi"
+        writer = VideoWriter(path, fps, renderer.size_wh, setting.sensor.crf) if video else None
+        if writer is not None:
+            stack.enter_context(writer)
+        bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
+        stop = stack.enter_context(asked_to_stop())
+        for number in range(count):
+            if stop():  # what is written so far is a shorter recording, complete in itself
+                complete = False
+                break
+            time_s = number / fps
+            here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
+            drawn: list[Drawn] | None = None
+            if writer is not None:
+                ids = {t.track_id for t in here}
+                renderer.forget({k for k in vehicles if k not in ids})
+                vehicles = {
+                    t.track_id: vehicles.get(t.track_id) or t.vehicle(lamps=light.lamps, plates=plates) for t in here
+                }
+                placed = [place(t, vehicles[t.track_id], time_s) for t in here]
+                image, drawn = renderer.frame(placed, number=number, time_s=time_s)
+                writer.write(image)
+                masks += len(drawn)
+            truth.add(number, here, drawn)
+            done += 1
+            bar.update()
+        cars = truth.result_cars()
+    return _Done(complete, done, masks, cars)
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(".png", image)[1])
+
+
+def ground_truth(
+    scene: Scene, trips: Sequence[Trip], duration_s: float, fps: float, surveyed: dict[str, Any] | None
+) -> dict[str, Any]:
+    """The content of `gt_data.pkl`: the speeds as rendered.
+
+    A car is listed when it crosses the last line while the recording runs, and valid when all its crossings fall
+    into the recording.
+
+    Args:
+        scene: lines and lanes.
+        trips: all vehicles.
+        duration_s: length of the recording.
+        fps: frames per second.
+        surveyed: a real session's `gt_data.pkl`, whose surveyed distances are kept; None for a made-up scene.
+    """
+    cars = []
+    for trip in trips:
+        if trip.car_id is None:
+            continue
+        times = {}
+        for number, line in enumerate(scene.measurement_lines):
+            time = trip.time_at(near_path_x(scene, line, trip.lane, trip.offset_y))
+            if 0 <= time < duration_s:
+                times[number] = time
+        if 0 not in times:
+            continue
+        last = len(scene.measurement_lines) - 1
+        valid = len(times) == last + 1
+        speed = 0.0
+        if valid:
+            ends = [trip.near_point(times[k]) for k in (0, last)]
+            speed = float(np.linalg.norm(ends[0] - ends[1])) / abs(times[0] - times[last]) * 3.6
+        cars.append(
+            {
+                "carId": trip.car_id,
+                "speed": speed,
+                "laneIndex": {trip.lane.index},
+                "valid": valid,
+                "acceleration": 0.0,
+                "timeIntersectionLastShifted": times[0],
+                "intersections": [{"measurementLineId": k, "videoTime": times[k]} for k in sorted(times, reverse=True)],
+            }
+        )
+    cars.sort(key=lambda car: car["timeIntersectionLastShifted"])  # type: ignore[arg-type, return-value]
+    return {
+        "fps": float(fps),
+        "cars": cars,
+        "measurementLines": [np.asarray(line, dtype=np.float64) for line in scene.measurement_lines],
+        "laneDivLines": [np.asarray(line, dtype=np.float64) for line in scene.lane_lines],
+        "invalidLanes": set() if surveyed is None else set(surveyed["invalidLanes"]),
+        "distanceMeasurement": _distances(scene) if surveyed is None else surveyed["distanceMeasurement"],
+    }
+
+
+def _distances(scene: Scene) -> list[dict[str, Any]]:
+    """Distances between road points of a made-up scene, as a surveyor would have taken them."""
+    measured = [lane for lane in scene.lanes if lane.index is not None]
+    low, high = min(lane.y0 for lane in measured) - 1.8, max(lane.y0 for lane in measured) + 1.8
+    near, far = visible_range(scene.camera, (low + high) / 2) or (10.0, 40.0)
+    marks = np.linspace(near + 4, min(far - 4, near + 45), 4)
+    pairs = [((marks[k], y), (marks[k + 1], y), True) for k in range(3) for y in (low, high)]
+    pairs += [((x, low), (x, high), False) for x in marks]
+    out = []
+    for a, b, along in pairs:
+        p, q = scene.camera.project(np.array([a, b]))
+        distance = float(np.hypot(a[0] - b[0], a[1] - b[1]))
+        out.append({"p1": np.append(p, 1.0), "p2": np.append(q, 1.0), "distance": distance, "toVP1": along})
+    return out

@@ -1,0 +1,149 @@
+"""Inference: the optimised paths give what the plain ones give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from clips import CAMERA, SIZE, road_mask
+from detector_shards import painted_sample
+
+from detector.checkpoint import Card
+from detector.device import choose_device
+from detector.inference import Detector, DeviceRectifier, fold_batch_norm, model_view, to_tensor
+from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
+from detector.speed.detection_source import DetectorDetections
+from detector.speed.measurement import Variant
+from labelgen.errors import LabelgenError
+from labelgen.geometry import Pair, Rectification, RoadMask
+from labelgen.media.frames import Frame
+
+CONFIG = ModelConfig(
+    backbone="mobilenet_v3_small",
+    levels=(3, 4),
+    channels=32,
+    head_convs=1,
+    head_norm="group",
+    anchor_sizes=((16.0,), (32.0,)),
+)
+ROAD = RoadMask(road_mask())
+
+
+def model(config: ModelConfig = CONFIG) -> CcRetinaNet:
+    torch.manual_seed(0)
+    network = build_model(config, score_thresh=0.01)
+    # Running averages that are not those of an untrained network.
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.running_mean.uniform_(-0.1, 0.1)
+            module.running_var.uniform_(0.8, 1.2)
+    return network.eval()
+
+
+def card(config: ModelConfig = CONFIG) -> Card:
+    return Card("small", Pair.VP2_VP3, (160, 96), config, 10.0, [], {})
+
+
+@pytest.mark.parametrize("backbone", ["mobilenet_v3_small", "resnet18", "shufflenet_v2_x0_5"])
+def test_folding_batch_normalisation_changes_nothing(backbone: str) -> None:
+    config = replace(CONFIG, backbone=backbone)
+    plain, folded = model(config), model(config)
+    fold_batch_norm(folded)
+    assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in folded.backbone.body.modules())
+    image = to_tensor(painted_sample(1).image, torch.device("cpu"))
+    with torch.no_grad():
+        a, b = plain([image])[0], folded([image])[0]
+    assert len(a["boxes"]) > 5
+    assert torch.allclose(a["boxes"], b["boxes"], atol=1e-3)
+    assert torch.allclose(a["cc"], b["cc"], atol=1e-4)
+
+
+def test_rectifying_on_the_device_is_opencvs() -> None:
+    rectification = Rectification.from_road_mask(CAMERA, ROAD, Pair.VP2_VP3, (160, 96))
+    rng = np.random.default_rng(0)
+    frame = np.asarray(rng.integers(0, 255, (SIZE[1] // 8, SIZE[0] // 8, 3)), dtype=np.uint8).repeat(8, 0).repeat(8, 1)
+    ours = DeviceRectifier(rectification, torch.device("cpu"))(frame)
+    wanted = to_tensor(rectification.warp_image(frame), torch.device("cpu"))
+    assert ours.shape == wanted.shape == (3, 96, 160)
+    # Both are zero outside of the frame; on its very border they blend differently.
+    assert (ours - wanted).abs().quantile(0.98) < 2 / 255
+
+
+def test_a_detector_is_a_source_of_detections() -> None:
+    detector, view = Detector(model(), card(), device="cpu"), model_view(card(), CAMERA, ROAD)
+    source = DetectorDetections(detector, view, batch=2)
+    assert source.view.variant is Variant.TRANSFORM3D
+    assert source.view.size_wh == (160, 96)
+    rng = np.random.default_rng(0)
+    frames = [Frame(n, n / 25, np.asarray(rng.integers(0, 255, (SIZE[1], SIZE[0], 3)), np.uint8)) for n in range(5)]
+    out = list(source.detections(frames))
+    assert [frame.number for frame, _ in out] == [0, 1, 2, 3, 4]
+    assert [found.frame for _, found in out] == [0, 1, 2, 3, 4]
+    assert any(len(found) for _, found in out)
+    alone = list(DetectorDetections(detector, view).detections(frames[2:3]))
+    np.testing.assert_allclose(alone[0][1].boxes_xyxy, out[2][1].boxes_xyxy, atol=1e-3)
+
+
+def test_a_detector_gives_labels() -> None:
+    detector = Detector(model(), card(), device="cpu")
+    picture = detector.picture(painted_sample(1))
+    (labels,) = detector.detect([picture])
+    (found,) = detector([picture])
+    assert detector.batch_size == 1
+    assert 0 < len(labels) <= len(found)
+    np.testing.assert_allclose(np.sort(labels.scores)[-3:], np.sort(found.scores)[-3:], rtol=1e-6)
+
+
+def test_half_precision_is_close() -> None:
+    detectors = [Detector(model(), card(), device="cpu", half=half) for half in (False, True)]
+    full, half = (detector([detector.picture(painted_sample(1))])[0] for detector in detectors)
+    assert abs(float(full.scores.max() - half.scores.max())) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("weight", "variant", "message"),
+    [
+        (1.0, Variant.ORIG2D, "trained on rectifications of the road; use transform3d or transform2d"),
+        (0.0, Variant.TRANSFORM3D, "trained without c_c"),
+    ],
+)
+def test_variants_a_model_cannot_do(weight: float, variant: Variant, message: str) -> None:
+    config = replace(CONFIG, cc_weight=weight)
+    with pytest.raises(LabelgenError, match=message):
+        model_view(card(config), CAMERA, ROAD, variant)
+
+
+def test_a_model_of_plain_frames_sees_plain_frames() -> None:
+    config = replace(CONFIG, cc_weight=0.0)
+    plain = replace(card(config), labels=[{"settings": [{"kind": "masks", "region": "none"}]}])
+    view = model_view(plain, CAMERA, ROAD)
+    assert view.variant is Variant.ORIG2D
+    np.testing.assert_allclose(view.to_frame([[80.0, 48.0]]), [[SIZE[0] / 2, SIZE[1] / 2]])
+    placed, valid = view.place(0, 0.0, [[60.0, 30.0, 100.0, 60.0]])
+    assert valid.all()
+    np.testing.assert_allclose(placed.feet_px, [[SIZE[0] / 2, 60 / 96 * SIZE[1]]])
+    with pytest.raises(LabelgenError, match="trained on frames as they are; use orig2d"):
+        model_view(plain, CAMERA, ROAD, Variant.TRANSFORM2D)
+
+
+def test_models_without_cc_default_to_2d() -> None:
+    config = replace(CONFIG, cc_weight=0.0)
+    assert model_view(card(config), CAMERA, ROAD).variant is Variant.TRANSFORM2D
+
+
+def test_a_model_sees_the_region_it_was_trained_on() -> None:
+    labels = [{"settings": [{"kind": "masks", "region": "frame"}]}]
+    whole = replace(card(), labels=labels)
+    assert model_view(whole, CAMERA, ROAD).variant is Variant.PREVIOUS3D
+    assert model_view(whole, CAMERA, ROAD, Variant.PREVIOUS2D).variant is Variant.PREVIOUS2D
+    with pytest.raises(LabelgenError, match="rectifications of the frame; use previous3d or previous2d"):
+        model_view(whole, CAMERA, ROAD, Variant.TRANSFORM3D)
+    with pytest.raises(LabelgenError, match="rectifications of the road"):
+        model_view(card(), CAMERA, ROAD, Variant.PREVIOUS3D)
+
+
+def test_unknown_devices_are_named() -> None:
+    with pytest.raises(LabelgenError, match="--device teapot"):
+        choose_device("teapot")

@@ -1,0 +1,276 @@
+"""Training through the command line: files, refusals, resumption after a kill; and what uses the result."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from clips import write_clip
+from detector_shards import write_painted_shards
+
+from detector.checkpoint import CARD_KEY, load_detector, read_checkpoint
+from labelgen.errors import DataError
+from labelgen.geometry import Pair
+
+pytest.importorskip("lightning")
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SETTINGS = ("--preset", "small", "--device", "cpu", "--batch", 2, "--epochs", 2, "--steps-per-epoch", 4)
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_painted_shards(tmp_path_factory.mktemp("painted") / "train", 8)
+
+
+@pytest.fixture(scope="module")
+def other_pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_painted_shards(tmp_path_factory.mktemp("other") / "shards", 2, size_wh=(96, 160), pair=Pair.VP1_VP2)
+
+
+@pytest.fixture(scope="module")
+def trained(shards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder, made by the command line."""
+    out = tmp_path_factory.mktemp("run") / "run"
+    done = run_train(shards, "--out", out, "--val", shards, *SETTINGS, "--json", out.parent / "train.json")
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "labelgen", *map(str, arguments)]
+
+
+def run_train(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command("train", *arguments), cwd=REPOSITORY, env=environment(), capture_output=True, text=True, timeout=200
+    )
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(REPOSITORY), **ONE_THREAD}
+
+
+def weights(path: Path) -> dict[str, Any]:
+    state: dict[str, Any] = read_checkpoint(path)["state_dict"]
+    return state
+
+
+def test_what_a_run_leaves(trained: Path) -> None:
+    assert (trained / "last.ckpt").is_file()
+    assert (trained / "best.ckpt").is_file()
+    assert len(list((trained / "pictures").glob("epoch-*.jpg"))) == 2
+    assert list(trained.glob("tensorboard/version_0/events*"))
+    assert list(trained.glob("csv/version_0/metrics.csv"))
+    report = json.loads((trained.parent / "train.json").read_text())
+    assert (report["steps"], report["epochs"], report["interrupted"]) == (8, 2, False)
+    assert {"train/loss", "val/ap50"} <= set(report["metrics"])
+
+
+def test_a_checkpoint_carries_its_card(trained: Path) -> None:
+    data = torch.load(trained / "last.ckpt", weights_only=True)
+    card = data[CARD_KEY]
+    assert (card["preset"], card["pair"], tuple(card["size_wh"])) == ("small", "VP2-VP3", (160, 96))
+    assert card["producer"].startswith("labelgen ")
+    assert card["labels"][0]["settings"] == [{"kind": "exact"}]
+    assert card["training"]["seed"] == 0
+    model, loaded = load_detector(trained / "last.ckpt")
+    assert loaded.to_dict() == card
+    assert not model.training
+
+
+def test_a_killed_training_resumes_to_the_same_weights(shards: Path, tmp_path: Path) -> None:
+    settings = (*SETTINGS, "--seed", 3, "--checkpoint-every", 1)
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert run_train(shards, "--out", whole, *settings).returncode == 0
+    # Killed as soon as there is a checkpoint, whichever step that is.
+    arguments = command("train", shards, "--out", broken, *settings)
+    with subprocess.Popen(arguments, cwd=REPOSITORY, env=environment(), stderr=subprocess.DEVNULL) as process:
+        while process.poll() is None and not (broken / "last.ckpt").exists():
+            try:
+                process.wait(timeout=0.01)
+            except subprocess.TimeoutExpired:
+                continue
+        process.kill()
+    before = read_checkpoint(broken / "last.ckpt")["global_step"]
+    assert 0 < before < 8
+    resumed = run_train(shards, "--out", broken, *settings, "--resume")
+    assert resumed.returncode == 0, resumed.stderr
+    a, b = weights(whole / "last.ckpt"), weights(broken / "last.ckpt")
+    assert a.keys() == b.keys()
+    assert all(torch.equal(a[key], b[key]) for key in a)
+
+
+def test_resuming_wants_the_same_settings(trained: Path, shards: Path) -> None:
+    changed = run_train(shards, "--out", trained, *SETTINGS, "--batch", 4, "--resume")
+    assert changed.returncode == 2
+    assert "batch differ from those it was begun with" in changed.stderr
+    assert changed.stderr.strip().splitlines()[-1].startswith("labelgen: error:")
+
+
+def test_a_run_is_not_overwritten_unasked(trained: Path, shards: Path) -> None:
+    again = run_train(shards, "--out", trained, *SETTINGS)
+    assert again.returncode == 2
+    assert "--resume" in again.stderr
+    assert "--overwrite" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--preset", "paper-640x360"), "but VP2-VP3 640x360 is wanted"),
+        (("--preset", "huge"), "unknown preset"),
+        (("--weights", "missing.ckpt"), "checkpoint missing.ckpt"),
+        (("--resume",), "last.ckpt"),
+    ],
+)
+def test_training_errors_are_one_line(
+    shards: Path, tmp_path: Path, arguments: tuple[object, ...], message: str
+) -> None:
+    done = run_train(shards, "--out", tmp_path / "run", "--device", "cpu", *arguments)
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if "labelgen: error" in line]
+    assert message in line
+
+
+def test_judging(labelgen: Run, trained: Path, shards: Path, other_pair: Path, tmp_path: Path) -> None:
+    done = labelgen(
+        "test-detector", trained / "last.ckpt", shards, "--device", "cpu", "--json", "out.json", **ONE_THREAD
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "out.json").read_text())
+    assert report["images"] == 8
+    assert {"ap", "ap50", "ap75", "cc_error", "ground_px", "ground_m", "invalid_share"} <= set(report)
+    refused = labelgen("test-detector", trained / "last.ckpt", other_pair, **ONE_THREAD)
+    assert refused.returncode == 2
+    assert "VP1-VP2 96x160, but VP2-VP3 160x96 is wanted" in refused.stderr
+
+
+def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Path, tmp_path: Path) -> None:
+    done = labelgen(
+        "detect",
+        trained / "last.ckpt",
+        shards,
+        "--out",
+        "a",
+        "--score",
+        0.0,
+        "--render",
+        "--device",
+        "cpu",
+        **ONE_THREAD,
+    )
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in (tmp_path / "a" / "detections.jsonl").read_text().splitlines()]
+    assert [line["sample"] for line in lines[1:]] == list(range(8))
+    assert len(list((tmp_path / "a" / "pictures").iterdir())) == 8
+    clip = write_clip(tmp_path / "clip", 6, coco=False)
+    done = labelgen(
+        "detect",
+        trained / "last.ckpt",
+        clip,
+        "--out",
+        "b",
+        "--score",
+        0.01,
+        "--limit",
+        4,
+        "--device",
+        "cpu",
+        **ONE_THREAD,
+    )
+    assert done.returncode == 0, done.stderr
+    # What it wrote is what `labelgen speed` reads.
+    from detector.speed.detection_file import DetectionFile
+
+    file = DetectionFile.open(tmp_path / "b" / "detections.jsonl")
+    assert file.rectification is not None
+    assert file.rectification.size_wh == (160, 96)
+    from clips import CAMERA
+
+    assert [found.frame for found in file.frames(file.view(CAMERA))] == [0, 1, 2, 3]
+
+
+def test_a_checkpoint_with_code_inside_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bad.ckpt"
+    torch.save({"labelgen": Path("x"), "hook": print}, path)
+    with pytest.raises(DataError, match="not a whole checkpoint of plain weights"):
+        read_checkpoint(path)
+    path.write_bytes(b"nonsense")
+    with pytest.raises(DataError, match=r"bad\.ckpt"):
+        load_detector(path)
+    torch.save({"state_dict": {}}, path)
+    with pytest.raises(DataError, match="not a checkpoint of a labelgen detector"):
+        load_detector(path)
+
+
+@pytest.mark.parametrize("judged", [False, True])
+def test_published_schedule_runs_with_and_without_validation(shards: Path, tmp_path: Path, judged: bool) -> None:
+    from detector.model.retinanet import ModelConfig
+    from detector.training.config import find_preset
+    from detector.training.train import Trainer, train
+
+    model = ModelConfig(backbone="resnet18", levels=(3, 4, 5, 6, 7), channels=32, head_convs=1)
+    preset = replace(
+        find_preset("paper-640x360", epochs=2, steps_per_epoch=1, batch=1, weights="none", patience=1),
+        pair=None, size_wh=None, model=model,
+    )  # fmt: skip
+    summary = train(
+        [shards], preset, tmp_path / "run", validation=[shards] if judged else [],
+        machine=Trainer(accelerator="cpu", checkpoint_every=0, progress=False),
+    )  # fmt: skip
+    assert summary.steps == 2
+    assert (summary.best is not None) == judged
+    assert load_detector(summary.checkpoint)[1].training["schedule"] == "plateau"
+
+
+@pytest.mark.slow
+def test_overfits_sixteen_samples(tmp_path: Path) -> None:
+    from detector.data.augment import Ranges
+    from detector.training.config import find_preset
+    from detector.training.train import Trainer, train
+
+    shards = write_painted_shards(tmp_path / "shards", 16)
+    preset = find_preset("small", epochs=1, steps_per_epoch=100, batch=8, whole=Ranges())
+    summary = train(
+        [shards], preset, tmp_path / "run", validation=[shards],
+        machine=Trainer(accelerator="cpu", checkpoint_every=0, progress=False),
+    )  # fmt: skip
+    assert summary.metrics["val/ap50"] > 0.99
+    assert summary.metrics["val/cc_error"] < 0.01
+
+
+@pytest.mark.slow
+def test_exported_model_is_the_same(labelgen: Run, trained: Path, shards: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    done = labelgen(
+        "export-model", trained / "last.ckpt", "--format", "onnx", "--out", "model.onnx", "--score", 0.005,
+        "--check", shards, "--json", "out.json", **ONE_THREAD,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    parity = json.loads((tmp_path / "out.json").read_text())["parity"]
+    assert parity["boxes"] > 100
+    assert max(parity["px"], parity["cc"], parity["score"]) < 1e-4
+
+
+def test_speeds_from_a_checkpoint(labelgen: Run, trained: Path, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path, 4, coco=False)
+    model = f"model:{trained / 'last.ckpt'}"
+    options = ("--score", 0.0, "--device", "cpu", "--out", "speeds", "--json", "out.json")
+    done = labelgen("speed", clip, "--from", model, *options, **ONE_THREAD)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "out.json").read_text())["frames"] == 4
+    done = labelgen("speed", clip, "--from", model, "--pair", "VP1-VP2", "--overwrite", *options, **ONE_THREAD)
+    assert done.returncode == 2
+    assert "leave out --pair and --size" in done.stderr

@@ -1,0 +1,110 @@
+"""`labelgen inspect`, `validate`, `merge` and `audit` from the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+from boxcars_trees import write_tree
+from clips import write_clip
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two small data sets, boxcars and masks, whose originals are at hand."""
+    from typer.testing import CliRunner
+
+    from labelgen.cli.main import app
+
+    root = tmp_path_factory.mktemp("data")
+    write_tree(root / "tree", vehicles=4)
+    clip = write_clip(root / "clip", 20)
+    commands = [
+        ["boxcars", "--root", root / "tree", "--out", root / "boxcars", "--cameras", "all", "--all-directions"],
+        ["bcs-masks", clip, "--masks", f"coco:{root / 'clip' / 'masks.json'}", "--every", "5", "--out", root / "masks"],
+    ]
+    for command in commands:
+        done = CliRunner().invoke(app, [str(part) for part in command])
+        assert done.exit_code == 0, done.output
+    return root
+
+
+def test_inspect(labelgen, shards: Path, tmp_path: Path) -> None:
+    done = labelgen("inspect", shards / "masks", "--json", "i.json")
+    assert done.returncode == 0, done.stderr
+    data = json.loads((tmp_path / "i.json").read_text())
+    assert (data["images"], data["labels"], data["shards"]) == (4, 8, 1)
+    assert data["classes"] == {"car": 8}
+    assert data["settings"]["rule"] == "wider"
+    assert set(data["spread"]) == {"c_c", "box width, px", "box height, px", "labels per image"}
+    assert "VP2-VP3" in done.stdout
+
+
+def test_validate_finds_one_changed_byte(labelgen, shards: Path, tmp_path: Path) -> None:
+    assert labelgen("validate", shards / "boxcars", shards / "masks").returncode == 0
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for path in (shards / "masks").iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    shard = folder / "shard-00000.h5"
+    data = bytearray(shard.read_bytes())
+    jpeg = data.find(b"\xff\xd8\xff")
+    data[jpeg + 400] ^= 0xFF
+    shard.write_bytes(data)
+    done = labelgen("validate", folder, "--json", "v.json")
+    assert done.returncode == 2
+    assert "shard-00000.h5: not the file named in dataset.json (its hash differs)" in done.stderr
+    report = json.loads((tmp_path / "v.json").read_text())
+    assert report["valid"] is False
+    assert list(report["problems"]) == [str(folder)]
+    alone = labelgen("validate", shard)
+    assert alone.returncode == 2
+    assert "its content is not what was written (hash differs)" in alone.stderr
+
+
+def test_merge(labelgen, shards: Path, tmp_path: Path) -> None:
+    done = labelgen("merge", shards / "masks", shards / "boxcars", "--out", "both")
+    assert done.returncode == 2
+    assert "different pairs or sizes" in done.stderr
+    assert not (tmp_path / "both").exists()
+    assert labelgen("merge", shards / "masks", "--out", "both", "--json", "m.json").returncode == 0
+    assert json.loads((tmp_path / "m.json").read_text())["labels"] == 8
+    assert labelgen("validate", "both").returncode == 0
+    again = labelgen("merge", shards / "masks", "--out", "both")
+    assert again.returncode == 2
+    assert "already holds a finished data set; add --overwrite" in again.stderr
+    assert labelgen("merge", shards / "masks", "--out", "both", "--overwrite").returncode == 0
+    assert "one of the folders to merge" in labelgen("merge", "both", "--out", "both").stderr
+
+
+@pytest.mark.parametrize("name", ["boxcars", "masks"])
+def test_audit(labelgen, shards: Path, tmp_path: Path, name: str) -> None:
+    done = labelgen("audit", shards / name, "--out", "look", "--count", 12, "--json", "a.json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "a.json").read_text())
+    chapters = set(report["pictures"])
+    assert {"Statistics", "Steps of the rectification"} <= chapters
+    assert ("Steps from mask to label" in chapters) == (name == "masks")
+    page = (tmp_path / "look" / "index.html").read_text()
+    for pictures in report["pictures"].values():
+        assert pictures
+        for picture in pictures:
+            image = cv2.imread(str(tmp_path / picture))
+            assert image is not None
+            assert image.std() > 5
+            assert Path(picture).name in page
+    assert report["notes"] == []
+    assert labelgen("audit", shards / name, "--out", "look").returncode == 2
+
+
+def test_audit_without_the_originals(labelgen, shards: Path, tmp_path: Path) -> None:
+    """A data set alone, moved to another machine."""
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    (folder / "shard-00000.h5").write_bytes((shards / "masks" / "shard-00000.h5").read_bytes())
+    done = labelgen("audit", folder, "--out", "look", "--count", 3)
+    assert done.returncode == 0, done.stderr
+    assert "the original of the first sample is not at hand" in done.stderr
+    assert (tmp_path / "look" / "labels-00.png").exists()

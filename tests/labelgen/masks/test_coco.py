@@ -1,0 +1,274 @@
+"""Ready-made masks in COCO JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pycocotools import mask as coco
+
+from labelgen.errors import DataError
+from labelgen.labels import VehicleClass
+from labelgen.masks import InstanceMasks, create_mask_source
+from labelgen.masks.coco_segmentation import check_segmentation, decode_segmentation
+
+WH = (64, 48)
+IMAGE = np.zeros((48, 64, 3), dtype=np.uint8)
+CATEGORIES = [{"id": 1, "name": "Car"}, {"id": 2, "name": "person"}, {"id": 9, "name": "lorry"}]
+
+
+def rectangle(x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
+    mask = np.zeros((WH[1], WH[0]), dtype=np.uint8)
+    mask[y0:y1, x0:x1] = 1
+    return mask
+
+
+def compressed(mask: np.ndarray) -> dict[str, Any]:
+    rle = coco.encode(np.asfortranarray(mask))
+    return {"size": rle["size"], "counts": rle["counts"].decode()}
+
+
+def uncompressed(mask: np.ndarray) -> dict[str, Any]:
+    flat = np.concatenate([[0], mask.ravel(order="F"), [2]])
+    counts = np.diff(np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1])]))
+    return {"size": list(mask.shape), "counts": ([0] if mask[0, 0] else []) + [int(c) for c in counts if c]}
+
+
+def polygon(x0: int, y0: int, x1: int, y1: int) -> list[list[float]]:
+    return [[x0, y0, x1, y0, x1, y1, x0, y1]]
+
+
+def annotation(index: int, image: Any, segmentation: Any, category: Any = 1, **more: Any) -> dict[str, Any]:
+    return {"id": index, "image_id": image, "category_id": category, "segmentation": segmentation, **more}
+
+
+def write(path: Path, data: Any) -> str:
+    path.write_text(json.dumps(data))
+    return f"coco:{path}"
+
+
+def masks_of(source: Any, number: int = -1, name: str = "") -> InstanceMasks:
+    found: InstanceMasks = source.masks([IMAGE], [number], [name])[0]
+    return found
+
+
+@pytest.mark.parametrize("encode", [compressed, uncompressed])
+def test_rle_and_polygons_give_the_same_mask(tmp_path: Path, encode: Any) -> None:
+    data = {
+        "images": [{"id": 7, "frame": 25, "width": 64, "height": 48}],
+        "categories": CATEGORIES,
+        "annotations": [
+            annotation(1, 7, encode(rectangle(5, 10, 25, 20)), score=0.75),
+            annotation(2, 7, polygon(5, 10, 25, 20), 9),
+        ],
+    }
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    found = masks_of(source, 25)
+    assert found.boxes_xyxy.tolist() == [[5, 10, 25, 20]] * 2
+    assert all(crop.all() for crop in found.crops)
+    assert found.class_ids.tolist() == [VehicleClass.CAR, VehicleClass.TRUCK]
+    assert found.scores.tolist() == [0.75, 1.0]
+    assert len(masks_of(source, 26)) == 0
+    assert source.problems == []
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 70), st.integers(1, 70), st.floats(0.02, 0.98))
+def test_rle_decodes_like_pycocotools(seed: int, w: int, h: int, density: float) -> None:
+    mask = (np.random.default_rng(seed).random((h, w)) < density).astype(np.uint8)
+    mask[:, : w // 3] = 0
+    if not mask.any():
+        mask[-1, -1] = 1
+    for rle in (compressed(mask), uncompressed(mask)):
+        (x, y), crop = decode_segmentation(rle, (w, h))
+        whole = np.zeros_like(mask)
+        whole[y : y + crop.shape[0], x : x + crop.shape[1]] = crop
+        np.testing.assert_array_equal(whole, mask)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(st.floats(-20, 84), st.floats(-20, 68)), min_size=3, max_size=8))
+def test_polygons_decode_like_pycocotools(points: list[tuple[float, float]]) -> None:
+    # Whole coordinates as pycocotools rounds away from zero outside the frame.
+    flat = [float(round(v)) for point in points for v in point]
+    expected = coco.decode(coco.frPyObjects([flat], WH[1], WH[0]))[..., 0]
+    if not expected.any():
+        return
+    (x, y), crop = decode_segmentation([flat], WH)
+    whole = np.zeros_like(expected)
+    whole[y : y + crop.shape[0], x : x + crop.shape[1]] = crop
+    # Edges that leave the frame may be drawn a pixel apart, by pycocotools' own rounding.
+    assert (whole != expected).sum() <= 0.02 * expected.size
+
+
+@pytest.mark.parametrize(
+    ("images", "number", "name", "expected"),
+    [
+        ([{"id": 3, "frame": 5}, {"id": 4, "frame": 6}], 6, "", 4),
+        ([{"id": 3, "frame": 5, "file_name": "000006.jpg"}, {"id": 4, "frame": 6}], 6, "", 4),
+        ([{"id": 3, "file_name": "000123.jpg"}], 123, "", 3),
+        ([{"id": 3, "file_name": "out/cam2_000123.jpg"}], 123, "", 3),
+        ([{"id": 3, "file_name": "b.png"}, {"id": 4, "file_name": "a.png"}], 0, "b.png", 3),
+        ([{"id": 3, "file_name": "left/1.png"}, {"id": 4, "file_name": "right/1.png"}], 0, "right/1.png", 4),
+        ([{"id": 3, "file_name": "deep/down/b.png"}], 0, "b.png", 3),
+        ([{"id": 3, "file_name": "deep\\b.png"}], 0, "b.png", 3),
+        ([{"id": "text", "file_name": "b.png"}], 0, "b.png", "text"),
+        # A number in a file name says nothing about another file of a folder.
+        ([{"id": 3, "file_name": "1.png"}], 1, "other.png", None),
+    ],
+)
+def test_finds_the_image_entry(
+    tmp_path: Path, images: list[dict[str, Any]], number: int, name: str, expected: Any
+) -> None:
+    annotations = [annotation(i, entry["id"], polygon(i, 0, i + 5, 9), 3) for i, entry in enumerate(images)]
+    source = create_mask_source(write(tmp_path / "m.json", {"images": images, "annotations": annotations}))
+    found = masks_of(source, number, name)
+    lefts = [i for i, entry in enumerate(images) if entry["id"] == expected]
+    assert found.boxes_xyxy[:, 0].tolist() == lefts
+
+
+def test_list_of_results_with_coco_ids(tmp_path: Path) -> None:
+    results = [
+        annotation(i, 40, compressed(rectangle(i, 2, i + 9, 20)), category, score=0.9)
+        for i, category in enumerate([3, 4, 6, 8, 1])
+    ]
+    source = create_mask_source(write(tmp_path / "r.json", results))
+    expected = [VehicleClass.CAR, VehicleClass.MOTORCYCLE, VehicleClass.BUS, VehicleClass.TRUCK]
+    assert masks_of(source, 40).class_ids.tolist() == expected
+    assert source.problems == ["r.json: 1 annotation of other categories (id 1) left out"]
+
+
+def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) -> None:
+    square = polygon(1, 1, 9, 9)
+    data = {
+        "images": [{"id": 1, "frame": 0}],
+        "categories": CATEGORIES,
+        "annotations": [
+            annotation(1, 1, square, 2),
+            annotation(2, 1, square, 2),
+            annotation(3, 1, square, 1, score=0.4),
+            annotation(4, 1, square, 1, iscrowd=1),
+            annotation(5, 1, square, 1, score=0.6),
+            annotation(6, 1, square, 3),
+            annotation(7, 1, square, 4, score=0.1),
+        ],
+    }
+    source = create_mask_source(write(tmp_path / "m.json", data), score_threshold=0.5)
+    assert masks_of(source, 0).scores.tolist() == pytest.approx([0.6])
+    assert source.problems == [
+        "m.json: 4 annotations of other categories (person, id 3, id 4) left out",
+        "m.json: 1 crowd region left out",
+        "m.json: 1 annotation with a score below 0.5 left out",
+    ]
+
+
+BROKEN: list[tuple[Any, str]] = [
+    (annotation(9, 1, None), "no segmentation"),
+    (annotation(9, 1, []), "no segmentation"),
+    (annotation(9, 1, [[1, 1, 9, 9]]), "three x, y pairs"),
+    (annotation(9, 1, [[1, 1, 9, "x", 3, 4]]), "no numbers"),
+    (annotation(9, 1, [[1, 1, 1e12, 9, 3, 4]]), "far outside"),
+    (annotation(9, 1, polygon(70, 5, 90, 20)), "outside the frame"),
+    (annotation(9, 1, {"size": [10, 10], "counts": [0, 100]}), "its RLE is for a frame of size"),
+    (annotation(9, 1, {"size": [48, 64], "counts": [10, 20]}), "covers 30 of 3072"),
+    (annotation(9, 1, {"size": [48, 64], "counts": [3072]}), "empty"),
+    (annotation(9, 1, {"size": [48, 64], "counts": [4000, -928]}), "no usable counts"),
+    (annotation(9, 1, {"size": [48, 64], "counts": "\u00e9 !"}), "characters that are no run lengths"),
+    (annotation(9, 1, {"size": [48, 64], "counts": "ooooooooooooooooo"}), "beyond any frame"),
+    (annotation(9, 1, {"size": [48, 64]}), "no usable counts"),
+    (annotation(9, 1, {"size": [48, 64], "counts": "oo"}), "cut off"),
+    (annotation(9, 1, {"size": [48, 64], "counts": ""}), "covers 0 of 3072"),
+    (annotation(9, 1, {"size": [48, 64], "counts": [10**400]}), "RLE has no usable counts"),
+    (annotation(9, 1, {"size": [48, 64], "counts": compressed(rectangle(1, 1, 9, 9))["counts"][:-1]}), "its RLE"),
+    (annotation(9, 1, [[1, 1, 10**400, 9, 3, 4]]), "no numbers or far outside"),
+    (annotation(9, 1, [[5.1, 5, 5.3, 5, 5.3, 40, 5.1, 40]]), "its mask is empty"),
+    (annotation(9, 1, polygon(1, 1, 9, 9), score=10**400), "is not in [0, 1]"),
+    (annotation("\ud800", 1, None), "no segmentation"),
+    (annotation(9, 1, polygon(1, 1, 9, 9), score=7), "score 7 is not in"),
+    (annotation(9, 1, polygon(1, 1, 9, 9), score="high"), "score 'high' is not in"),
+    (annotation(9, 55, polygon(1, 1, 9, 9)), "no image with id 55"),
+    (annotation(9, None, polygon(1, 1, 9, 9)), "no image with id None"),
+    (annotation(9, 1, polygon(1, 1, 9, 9), "car"), "category_id 'car' is not a number"),
+    ("nonsense", "not a JSON object"),
+]
+
+
+@pytest.mark.parametrize(("broken", "reason"), BROKEN, ids=[reason for _, reason in BROKEN])
+def test_broken_annotations_are_skipped_with_a_reason(tmp_path: Path, broken: Any, reason: str) -> None:
+    data = {
+        "images": [{"id": 1, "frame": 0}],
+        "categories": CATEGORIES,
+        "annotations": [broken, annotation(10, 1, polygon(20, 20, 30, 30))],
+    }
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    # Known before the first frame, so that an interrupted job that goes on tells the same.
+    told = list(source.problems)
+    assert len(told) == 1
+    assert reason in told[0]
+    told[0].encode()
+    for _ in range(2):
+        assert masks_of(source, 0).boxes_xyxy.tolist() == [[20, 20, 30, 30]]
+    assert source.problems == told
+    late = create_mask_source(write(tmp_path / "m.json", data))
+    masks_of(late, 77)
+    assert late.problems == told
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "not a JSON file"),
+        ("{", "not a JSON file"),
+        ("[" * 100_000, "not a JSON file"),
+        ("3", "not COCO"),
+        ("[1, 2]", "not COCO"),
+        ('{"images": []}', "not COCO"),
+        ('{"images": 3, "annotations": []}', "not COCO"),
+        ('{"images": [], "annotations": [], "categories": [{"id": 1, "name": "dog"}]}', "none of its categories"),
+    ],
+)
+def test_files_that_are_no_coco_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "m.json").write_text(content)
+    with pytest.raises(DataError, match=message) as caught:
+        create_mask_source(f"coco:{tmp_path / 'm.json'}")
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file"):
+        create_mask_source(f"coco:{tmp_path / 'none.json'}")
+
+
+def test_another_frame_size_is_reported_once(tmp_path: Path) -> None:
+    data = {"images": [{"id": i, "frame": i, "width": 1920, "height": 1080} for i in range(5)], "annotations": []}
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    assert len(source.problems) == 1
+    assert "1920x1080 px, but the frames are 64x48" in source.problems[0]
+
+
+def test_a_file_name_of_many_digits_is_no_frame_number(tmp_path: Path) -> None:
+    images = [{"id": 1, "file_name": "9" * 5000 + ".jpg"}, {"id": 2, "file_name": "a3.jpg"}]
+    annotations = [annotation(1, 2, polygon(1, 1, 9, 9), 3)]
+    source = create_mask_source(write(tmp_path / "m.json", {"images": images, "annotations": annotations}))
+    assert len(masks_of(source, 3)) == 1
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.tuples(st.floats(-20, 84), st.floats(-20, 68)), min_size=3, max_size=6), st.floats(0.01, 1))
+def test_what_passes_the_check_can_be_decoded_and_nothing_else(
+    points: list[tuple[float, float]], squeeze: float
+) -> None:
+    flat = [v for x, y in points for v in (30 + (x - 30) * squeeze**3, y)]
+    try:
+        check_segmentation([flat], WH)
+    except ValueError as error:
+        with pytest.raises(ValueError, match=re.escape(str(error))):
+            decode_segmentation([flat], WH)
+    else:
+        assert decode_segmentation([flat], WH)[1].any()

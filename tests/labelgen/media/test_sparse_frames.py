@@ -1,0 +1,112 @@
+"""A few of a video's frames for less than all of them cost: leaps from key frame to key frame, pictures on demand."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from labelgen.media.frames import Frame, FrameSource, grey_of, open_frames, shrunk, sparse_frames
+from labelgen.media.keyframe_seek import Leap
+from labelgen.media.video_reader import VideoFile
+
+RATE = 10
+
+
+def write_video(path: Path, count: int, key_every: int, *, codec: str = "mpeg4", full_range: bool = False) -> Path:
+    """A video whose bright column tells a frame's number."""
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream(codec, rate=RATE)
+        stream.width, stream.height, stream.pix_fmt = 320, 64, "yuvj420p" if full_range else "yuv420p"
+        stream.codec_context.time_base = Fraction(1, RATE)
+        stream.codec_context.options = {"g": str(key_every)} | ({"sc_threshold": "0"} if codec == "libx264" else {})
+        stream.bit_rate = 4_000_000
+        for i in range(count):
+            image = np.full((64, 320, 3), (40, 90, 60), dtype=np.uint8)
+            image[:, i : i + 8] = (200, 220, 250)
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        out.mux(stream.encode(None))
+    return path
+
+
+def shown(image: np.ndarray) -> int:
+    """The number of the frame in a picture."""
+    row = grey_of(image)[16:48].mean(axis=0)
+    return round(float(np.average(np.arange(len(row)), weights=np.maximum(row - 150, 0))) - 3.5)
+
+
+def walk(source: FrameSource, work_s: float, rest_s: float) -> list[Frame]:
+    """Frames of a pass that works for a while, then asks for a rest, and so on."""
+    begun, out, until = 0.0, [], [0.0]
+    for frame in sparse_frames(source, lambda n: n / RATE >= until[-1], lambda: until[-1]):
+        if frame.time_s > (out[-1].time_s if out else 0) + 0.5 * rest_s:
+            begun = frame.time_s
+        out.append(frame)
+        if frame.time_s - begun >= work_s:
+            until.append(frame.time_s + rest_s)
+    return out
+
+
+@pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
+@pytest.mark.parametrize("key_every", [5, 23, 1000])
+def test_frames_after_a_leap_have_their_own_number_time_and_picture(tmp_path: Path, codec: str, key_every: int) -> None:
+    source = VideoFile(write_video(tmp_path / "a.mp4", 300, key_every, codec=codec))
+    frames = walk(source, 2.0, 3.0)
+    assert [shown(f.image) for f in frames] == [f.number for f in frames]
+    np.testing.assert_allclose([f.time_s for f in frames], [f.number / RATE for f in frames], atol=1e-6)
+    gaps = np.diff([f.number for f in frames])
+    assert set(gaps[gaps < 30]) == {1}
+    # What is asked for is kept to, and leaps go no farther than to the next key frame.
+    assert gaps[gaps > 1].min() >= 30
+    assert gaps.max() <= 30 + min(key_every, 100)
+    assert (gaps > 1).sum() >= 3
+    assert source.problems == []
+
+
+def test_a_leap_leaves_packets_undecoded(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mp4", 300, 10)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        leap = Leap(lambda: 12.0)
+        times = [
+            float(p.pts * stream.time_base)
+            for p in leap.over(container.demux(stream), lambda p: np.nan if p.pts is None else p.pts * stream.time_base)
+            if p.pts is not None
+        ]
+    assert leap.dropped == 120
+    assert leap.landed_s == 12.0
+    assert min(times) == 12.0
+    assert len(times) == 180
+
+
+def test_where_key_frames_are_far_apart_nothing_is_lost(tmp_path: Path) -> None:
+    source = VideoFile(write_video(tmp_path / "a.mp4", 300, 1000))
+    frames = walk(source, 2.0, 5.0)
+    gaps = np.diff([f.number for f in frames])
+    assert set(gaps) == {1, 50}
+
+
+def test_other_sources_pass_over_what_is_not_wanted(tmp_path: Path) -> None:
+    for i in range(4):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((8, 8, 3), i, np.uint8))
+    assert [f.number for f in sparse_frames(open_frames(tmp_path), lambda n: n != 2, lambda: 0.0)] == [0, 1, 3]
+
+
+@pytest.mark.parametrize("full_range", [False, True])
+def test_greys_are_those_of_the_picture(tmp_path: Path, full_range: bool) -> None:
+    codec = "mjpeg" if full_range else "mpeg4"
+    source = VideoFile(write_video(tmp_path / "a.avi", 3, 1, codec=codec, full_range=full_range))
+    whole = list(source.frames())
+    for lazy, eager in zip(sparse_frames(source, lambda n: True, lambda: 0.0), whole, strict=True):
+        assert lazy.grey.shape == (64, 320)
+        np.testing.assert_allclose(lazy.grey.astype(float), grey_of(eager.image), atol=4)
+        assert abs(float(lazy.grey.mean()) - float(eager.grey.mean())) < 2
+        assert lazy.small_grey(3).shape == (21, 106)
+        for factor in (1, 3):
+            np.testing.assert_allclose(lazy.small_grey(factor), shrunk(lazy.grey, factor), atol=1)
+            np.testing.assert_array_equal(eager.small_grey(factor), shrunk(eager.grey, factor))
+        np.testing.assert_array_equal(lazy.image, eager.image)

@@ -1,0 +1,38 @@
+"""Shards with exact truth say what the truth says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labelgen.labels import Flag
+from labelgen.shards import ShardSet
+from labelgen.synth.truth.session import write_session
+from labelgen.synth.truth.shards import MIN_HEIGHT_PX, main
+
+
+@pytest.mark.slow
+def test_labels_decode_to_the_true_boxes(tmp_path: Path) -> None:
+    write_session(tmp_path, duration_s=4, fps=1, size_wh=(640, 360), seed=4, name="made", per_minute=40)
+    main([str(tmp_path / "dataset" / "made"), "--out", str(tmp_path / "shards"), "--size", "320x180"])
+    samples = ShardSet([tmp_path / "shards"])
+    assert len(samples)
+    lines = [json.loads(line) for line in (tmp_path / "truth" / "made" / "boxes.jsonl").read_text().splitlines()]
+    compared = 0
+    for i in range(len(samples)):
+        sample = samples[i]
+        truth = np.array([vehicle["vertices_px"] for vehicle in lines[sample.frame]["vehicles"]])
+        boxes = sample.labels.boxes_xyxy
+        assert (boxes >= 0).all()
+        assert (boxes <= [320, 180, 320, 180]).all()
+        assert (boxes[:, 3] - boxes[:, 1] >= MIN_HEIGHT_PX - 1e-3).all()
+        vertices, valid = sample.vertices_px()
+        for corners in vertices[valid & ~sample.labels.has(Flag.TRUNCATED)]:
+            # As sets of corners: the truth's front is the vehicle's own.
+            gaps = np.linalg.norm(truth[:, :, None] - corners[None, None], axis=-1).min(axis=2).max(axis=1)
+            assert gaps.min() < 0.05
+            compared += 1
+    assert compared >= 2

@@ -1,0 +1,180 @@
+"""How fast the detector is.
+
+`branch`: the c_c branch against torchvision's own RetinaNet, same weights, same input, alternating in one run.
+`stages`: a video end to end, decode, rectify, detect, track: frames per second, and where the time goes.
+
+    python -m tools.benchmarks.detector branch [--backbone resnet50] [--size 640x360] [--pairs 20]
+    python -m tools.benchmarks.detector stages CHECKPOINT VIDEO_OR_SESSION [--frames 300] [--half|--no-half] [--compile]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchvision.models.detection import RetinaNet
+
+from detector.inference import Detector, model_view
+from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
+from detector.speed.detection_source import DetectorDetections
+from detector.speed.pipeline import detect
+from detector.tracking.iou_tracker import IouTracker
+from detector.training.config import find_preset
+from labelgen.datasets.scene import find_scene
+from labelgen.geometry import parse_size
+from labelgen.media.frames import open_frames
+from labelgen.media.timed_frames import TimedFrames
+
+__all__ = ["benchmark_branch", "benchmark_stages", "plain_retinanet", "synchronised_s"]
+
+
+def synchronised_s(device: torch.device) -> float:
+    """The clock, s, once the device has done what it was given."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def plain_retinanet(ours: CcRetinaNet) -> RetinaNet:
+    """torchvision's own RetinaNet with the weights of ours, which it shares: the same boxes, without c_c."""
+    plain = RetinaNet(
+        ours.backbone, 1, anchor_generator=ours.anchor_generator, score_thresh=ours.score_thresh,
+        detections_per_img=ours.detections_per_img,
+    )  # fmt: skip
+    plain.transform = ours.transform
+    plain.head.classification_head = ours.head.classification_head
+    plain.head.regression_head.conv = ours.head.regression_head.conv
+    plain.head.regression_head.bbox_reg = ours.head.regression_head.bbox_reg
+    return plain.eval()
+
+
+def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, device: str) -> dict[str, Any]:
+    """Median inference time of both networks, and the median ratio of alternating pairs.
+
+    The ratio of processor time beside it is less disturbed by whatever else the machine does.
+    """
+    place = torch.device(device)
+    torch.manual_seed(0)
+    ours = build_model(config).eval().to(place, memory_format=torch.channels_last)
+    plain = plain_retinanet(ours).to(place, memory_format=torch.channels_last)
+    image = [torch.rand(3, size_wh[1], size_wh[0], device=place)]
+    times: dict[str, list[tuple[float, float]]] = {"ours": [], "torchvision": []}
+    networks = {"ours": ours, "torchvision": plain}
+    with torch.inference_mode():
+        for number in range(pairs + 3):
+            # Who goes first changes from pair to pair.
+            for name in sorted(networks, reverse=bool(number % 2)):
+                begin, busy = synchronised_s(place), time.process_time()
+                networks[name](image)
+                times[name].append((synchronised_s(place) - begin, time.process_time() - busy))
+    wall, cpu = (
+        [a[k] / b[k] for a, b in zip(times["ours"][3:], times["torchvision"][3:], strict=True)] for k in (0, 1)
+    )
+    return {
+        "backbone": config.backbone, "size": list(size_wh), "pairs": pairs, "device": device,
+        "ours_ms": 1000 * statistics.median(wall for wall, _ in times["ours"][3:]),
+        "torchvision_ms": 1000 * statistics.median(wall for wall, _ in times["torchvision"][3:]),
+        "median_ratio": statistics.median(wall), "median_ratio_cpu_time": statistics.median(cpu),
+    }  # fmt: skip
+
+
+def benchmark_stages(
+    checkpoint: Path, source: Path, frames: int, *, device: str | None, half: bool | None, compiled: bool
+) -> dict[str, Any]:
+    """Frames per second end to end as in use (stages overlap), and milliseconds of each stage by itself.
+
+    Processor time per frame beside it says what the machine would do with nothing else running on it.
+    """
+    detector = Detector.load(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
+    scene = find_scene(source)
+    assert scene.frames_path is not None
+    video = open_frames(scene.frames_path)
+    view = model_view(detector.card, scene.camera(video.size_wh), scene.road())
+    assert view.rectification is not None
+    model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification, view.camera)
+
+    begin = time.perf_counter()
+    pictures = []
+    for frame in video.frames():
+        pictures.append(frame)
+        if len(pictures) >= min(frames, 40):
+            break
+    decode = (time.perf_counter() - begin) / len(pictures)
+    list(model.detections(pictures[:3]))
+    begin = synchronised_s(detector.device)
+    inputs = [to_input(frame.image) for frame in pictures]
+    rectify = (synchronised_s(detector.device) - begin) / len(pictures)
+    begin = synchronised_s(detector.device)
+    for picture in inputs:
+        detector([picture])
+    network = (synchronised_s(detector.device) - begin) / len(pictures)
+
+    tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
+    begin, busy = time.perf_counter(), time.process_time()
+    for _, found in detect(model, TimedFrames(video, fps=video.fps)):
+        start = time.perf_counter()
+        tracker.update(found.frame, found.boxes_xyxy, found.scores)
+        tracking += time.perf_counter() - start
+        count, vehicles = count + 1, vehicles + len(found)
+        if count >= frames:
+            break
+    seconds, busy = time.perf_counter() - begin, time.process_time() - busy
+    result = {
+        "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
+        "size_wh": list(detector.card.size_wh),
+        "device": str(detector.device), "half": detector.half, "threads": torch.get_num_threads(),
+        "fps": count / seconds,
+        "cpu_ms_per_frame": 1000 * busy / count,
+        "decode_ms": 1000 * decode, "rectify_ms": 1000 * rectify, "detect_ms": 1000 * network,
+        "track_ms": 1000 * tracking / count,
+    }  # fmt: skip
+    if detector.device.type == "cuda":
+        result["peak_mib"] = torch.cuda.max_memory_allocated() / 2**20
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--threads", type=int, help="of PyTorch")
+    kinds = parser.add_subparsers(dest="kind", required=True)
+    branch = kinds.add_parser("branch")
+    branch.add_argument("--preset", default="paper-640x360")
+    branch.add_argument("--backbone")
+    branch.add_argument("--size", default="640x360")
+    branch.add_argument("--pairs", type=int, default=20)
+    branch.add_argument("--device", default="cpu")
+    stages = kinds.add_parser("stages")
+    stages.add_argument("checkpoint", type=Path)
+    stages.add_argument("source", type=Path)
+    stages.add_argument("--frames", type=int, default=300)
+    stages.add_argument("--device")
+    stages.add_argument("--half", action=argparse.BooleanOptionalAction, default=None)
+    stages.add_argument("--compile", action="store_true")
+    given = parser.parse_args(arguments)
+    if given.threads:
+        torch.set_num_threads(given.threads)
+    if given.kind == "branch":
+        config = find_preset(given.preset).model
+        config = replace(config, backbone=given.backbone) if given.backbone else config
+        result = benchmark_branch(config, parse_size(given.size), given.pairs, given.device)
+    else:
+        result = benchmark_stages(
+            given.checkpoint, given.source, given.frames, device=given.device, half=given.half, compiled=given.compile
+        )
+    for name, value in result.items():
+        print(f"{name:14} {value:.4g}" if isinstance(value, float) else f"{name:14} {value}")
+    if given.json is not None:
+        given.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
