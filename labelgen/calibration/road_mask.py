@@ -3,7 +3,8 @@
 The optical flow is sparse: tracks of features on moving things (`labelgen.calibration.observation.klt_tracks`). Those
 that run along the line to VP1 are drawn into a small picture, each counting once where it passes; what few tracks
 cross, or what others cross as well, does not count. The rest is cleaned and made straight: strips between lines to VP1,
-from the farthest motion seen down to the frame's border. The part near the horizon is cut off: it could not be rectified.
+from the farthest motion seen down to the frame's border. The part near the horizon is cut off: it could not be
+rectified.
 
 The mask therefore holds what vehicles on the road cover, up to their roofs, not their tyres' tracks alone; that is
 what masks drawn by hand for this purpose hold too.

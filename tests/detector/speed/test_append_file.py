@@ -54,7 +54,7 @@ with RecordFile(Path({str(path)!r}), **{JSON!r}) as file:
     except OutputError as error:
         print(file.count, error)
 """
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
     count, message = done.stdout.split(" ", 1)
     assert "file too large" in message

@@ -23,7 +23,7 @@ from labelgen.geometry import Pair
 pytest.importorskip("lightning")
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[3]
 SETTINGS = ("--preset", "small", "--device", "cpu", "--batch", 2, "--epochs", 2, "--steps-per-epoch", 4)
 ONE_THREAD = {"OMP_NUM_THREADS": "1"}
 

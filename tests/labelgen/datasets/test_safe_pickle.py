@@ -152,7 +152,7 @@ def test_arrays_that_lie_about_their_memory_are_refused(tmp_path: Path, name: st
         "import sys\nfrom labelgen.errors import DataError\nfrom labelgen.datasets.safe_pickle import load_pickle\n"
         "try:\n    print(repr(load_pickle('evil.pkl')))\nexcept DataError as err:\n    sys.exit(f'DataError {err}')\n"
     )
-    repository = str(Path(__file__).resolve().parents[2])
+    repository = str(Path(__file__).resolve().parents[3])
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": repository},
         capture_output=True, text=True, timeout=60,
