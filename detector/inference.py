@@ -26,12 +26,10 @@ from detector.device import choose_device, gains_from_half
 from detector.metrics import Found
 from detector.model.retinanet import CcRetinaNet
 from detector.model.vehicle_size import merge_sizes, scene_vector
-from detector.speed.measurement import Variant, View
-from labelgen.errors import LabelgenError
-from labelgen.geometry import Camera, Rectification, Region, RoadMask
+from labelgen.geometry import Camera, Rectification
 from labelgen.labels import Labels, Sample
 
-__all__ = ["Detector", "DeviceRectifier", "Picture", "fold_batch_norm", "model_view", "to_found"]
+__all__ = ["Detector", "DeviceRectifier", "Picture", "fold_batch_norm", "to_found"]
 
 _GPU_BATCH = 8
 _RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
@@ -177,7 +175,7 @@ class Detector:
         return 1 if self.device.type == "cpu" else _GPU_BATCH
 
     def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], Picture]:
-        """Rectifies frames, on the device where that is a GPU: `detector.speed.detection_source.Detector`."""
+        """Rectifies frames, on the device where that is a GPU: `detector.speed.model_detections.Detector`."""
         scene = _scene(rectification, camera)
         if self.device.type != "cpu":
             warp = DeviceRectifier(rectification, self.device)
@@ -185,7 +183,7 @@ class Detector:
         return lambda frame: Picture(to_tensor(rectification.warp_image(frame), self.device), scene)
 
     def detect(self, pictures: Sequence[Picture]) -> list[Labels]:
-        """The vehicles in rectified pictures: `detector.speed.detection_source.Detector`."""
+        """The vehicles in rectified pictures: `detector.speed.model_detections.Detector`."""
         found = []
         for output in self(pictures):
             # Boxes cut at the border may have no area left.
@@ -207,35 +205,3 @@ class Detector:
         with torch.inference_mode(), torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=autocast):
             outputs = self.model(images)
         return [to_found(out, picture.scene, self.card) for out, picture in zip(outputs, pictures, strict=False)]
-
-
-def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> View:
-    """The view of a scene in which a model's detections lie.
-
-    Args:
-        card: of its checkpoint.
-        camera: with a scale.
-        road: the road mask.
-        variant: how the measured point is found; by default with c_c where the model has it, on the part of the
-            frame that it has seen in training, or in the frame itself.
-
-    Raises:
-        LabelgenError: the variant needs pictures of another kind, or c_c from a model that has none.
-        RectificationError: the scene admits no rectification of the model's pair and size.
-    """
-    region = card.region
-    solid, flat = {
-        Region.ROAD: (Variant.TRANSFORM3D, Variant.TRANSFORM2D),
-        Region.FRAME: (Variant.PREVIOUS3D, Variant.PREVIOUS2D),
-        Region.NONE: (Variant.ORIG2D, Variant.ORIG2D),
-    }[region]
-    chosen = variant or (solid if card.config.cc_weight else flat)
-    if chosen not in (solid, flat):
-        kind = "frames as they are" if region is Region.NONE else f"rectifications of the {region}"
-        known = " or ".join(dict.fromkeys((solid, flat)))
-        raise LabelgenError(f"--variant {chosen}: this detector was trained on {kind}; use {known}")
-    if region is Region.NONE:
-        return View(chosen, camera, Rectification.of_region(region, camera, road, card.pair, card.size_wh))
-    if chosen.is_3d and not card.config.cc_weight:
-        raise LabelgenError(f"--variant {chosen}: this detector was trained without c_c; use {flat}")
-    return View.create(chosen, camera, road, card.pair, card.size_wh)

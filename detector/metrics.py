@@ -102,7 +102,7 @@ def _xywh(boxes: Array) -> list[list[float]]:
 
 def match_boxes(truth_xyxy: Array, found_xyxy: Array, scores: Array, min_iou: float = _MATCH_IOU) -> NDArray[np.int64]:
     """(N,) which label (of L) each detection finds, -1 for none: best score first, each label once."""
-    from detector.tracking.iou_tracker import iou_matrix
+    from labelgen.geometry.boxes import iou_matrix
 
     overlap = iou_matrix(found_xyxy, truth_xyxy)
     out = np.full(len(found_xyxy), -1, dtype=np.int64)

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detector.metrics import Found
-from detector.speed.detections import Detections
-from detector.speed.measurement import View
 from labelgen.drawing import GREEN, YELLOW, Picture, draw_box3d, draw_polyline, draw_text
 from labelgen.geometry import decode_boxes
 from labelgen.geometry.homography import Array
 from labelgen.labels import Sample
 
-__all__ = ["draw_detections", "draw_found", "tile"]
+__all__ = ["draw_boxes", "draw_found", "tile"]
 
 
 def draw_found(sample: Sample, found: Found, score: float = 0.5) -> Picture:
@@ -23,19 +20,11 @@ def draw_found(sample: Sample, found: Found, score: float = 0.5) -> Picture:
     image = sample.image
     for box in sample.labels.boxes_xyxy:
         _draw_box(image, box, GREEN)
-    _draw(image, found[found.scores >= score], sample.rectification.vpu)
+    draw_boxes(image, found[found.scores >= score], sample.rectification.vpu)
     return image
 
 
-def draw_detections(view: View, frame: NDArray[np.uint8], found: Detections) -> Picture:
-    """A frame, rectified, with its detections."""
-    assert view.rectification is not None
-    image = view.rectification.warp_image(frame)
-    _draw(image, Found(found.boxes_xyxy, found.cc, found.scores), view.rectification.vpu)
-    return image
-
-
-def _draw(image: Picture, found: Found, vpu: Array) -> None:
+def draw_boxes(image: Picture, found: Found, vpu: Array) -> None:
     vertices, valid = decode_boxes(found.boxes_xyxy, found.cc, vpu)
     for box, corners, good, value in zip(found.boxes_xyxy, vertices, valid, found.scores, strict=True):
         if good:

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.tracking.per_track import IntArray, gap_speeds_kmh, nearest_rows
+from detector.tracking.per_track import gap_speeds_kmh, nearest_rows
 from detector.tracking.tracks import Tracks
 from labelgen.datasets.brnocompspeed import GroundTruth
 from labelgen.geometry import Camera
-from labelgen.geometry.homography import Array, translation
+from labelgen.geometry.homography import Array, IntArray, translation
+from labelgen.geometry.lanes import between_lines, lanes_of, line_values
 
-__all__ = ["Crossings", "RecordingScore", "lanes_of", "line_crossings", "prefilter", "score_recording"]
+__all__ = ["Crossings", "RecordingScore", "line_crossings", "prefilter", "score_recording"]
 
 FRAME_WH = (1920, 1080)
 BORDER_PX = 10
@@ -74,26 +75,6 @@ class Crossings:
         return np.isfinite(self.points_px).all(axis=1) & np.isfinite(self.frames)
 
 
-def _signed(points_px: Array, lines: Array) -> Array:
-    """(P, L) values of homogeneous lines (L, 3) at points (P, 2)."""
-    return points_px[:, :1] * lines[:, 0] + points_px[:, 1:] * lines[:, 1] + lines[:, 2]
-
-
-def _between(first: Array, second: Array, line_a: Array, line_b: Array) -> NDArray[np.bool_]:
-    """Whether points lie between two lines, from their signed values at the points; borders included."""
-    return np.asarray(first * second * (line_a[:2] @ line_b[:2]) <= 0)
-
-
-def lanes_of(points_px: Array, lane_lines: Array) -> IntArray:
-    """(P,) number of the first lane each point lies in, its borders included; -1 for none (also for NaN)."""
-    lane = np.full(len(points_px), -1)
-    values = _signed(points_px, lane_lines)
-    for number in reversed(range(len(lane_lines) - 1)):
-        inside = _between(values[:, number], values[:, number + 1], lane_lines[number], lane_lines[number + 1])
-        lane[inside] = number
-    return lane
-
-
 def _inside_frame(points_px: Array) -> NDArray[np.bool_]:
     inside = (points_px > BORDER_PX) & (points_px < np.array(FRAME_WH) - BORDER_PX)
     return inside[:, 0] & inside[:, 1]
@@ -115,8 +96,8 @@ def prefilter(tracks: Tracks, truth: GroundTruth) -> Tracks:
         tracks = tracks.keep_tracks(tracks.count(np.isin(lane, list(truth.invalid_lanes))) == 0, "in an invalid lane")
 
     ends = truth.measurement_lines[[0, -1]]
-    values = _signed(tracks.points_px, ends)
-    measured = tracks.count(_between(values[:, 0], values[:, 1], ends[0], ends[1]))
+    values = line_values(tracks.points_px, ends)
+    measured = tracks.count(between_lines(values[:, 0], values[:, 1], ends[0], ends[1]))
     return tracks.keep_tracks(measured >= _FIT_POINTS, "not between the measurement lines")
 
 
@@ -136,7 +117,7 @@ def line_crossings(tracks: Tracks, line: Array) -> Crossings:
         tracks: each of at least 6 points.
         line: (3,) homogeneous.
     """
-    distances = np.abs(_signed(tracks.points_px, line[None])[:, 0]) / np.linalg.norm(line[:2])
+    distances = np.abs(line_values(tracks.points_px, line[None])[:, 0]) / np.linalg.norm(line[:2])
     rows = nearest_rows(distances, tracks.offsets, _FIT_POINTS)
     x, y = tracks.points_px[rows, 0], tracks.points_px[rows, 1]
     slope, intercept = _fit(x, y)
@@ -164,7 +145,7 @@ def _road_matrix(camera: Camera) -> Array:
 
 def _road_points(camera: Camera, points_px: Array) -> Array:
     """(P, 2) metres on the road. Without a matrix product: NumPy would start threads for so thin a one."""
-    mapped = _signed(points_px, _road_matrix(camera))
+    mapped = line_values(points_px, _road_matrix(camera))
     with np.errstate(divide="ignore", invalid="ignore"):
         metres: Array = mapped[:, :2] / mapped[:, 2:]
     return metres

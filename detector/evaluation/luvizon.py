@@ -14,12 +14,12 @@ import shapely
 from numpy.typing import ArrayLike
 
 from detector.evaluation.summary import Value
-from detector.tracking.per_track import IntArray, gap_speeds_kmh
+from detector.tracking.per_track import gap_speeds_kmh
 from detector.tracking.tracks import Tracks
 from labelgen.datasets.luvizon import LANES, LuvizonVideo
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
-from labelgen.geometry.homography import Array, apply_homography
+from labelgen.geometry.homography import Array, IntArray, apply_homography
 
 __all__ = ["FPS", "LIMITS_KMH", "LuvizonScore", "fit_lane_scales", "luvizon_row", "score_luvizon", "track_lanes"]
 

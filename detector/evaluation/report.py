@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from detector.evaluation import LuvizonScore, TableFormat
+
+if TYPE_CHECKING:
     from detector.evaluation import RecordingScore, ScoredResult, TableFormat
 
-__all__ = ["evaluate_brnocompspeed"]
+__all__ = ["evaluate_brnocompspeed", "evaluate_luvizon"]
 
 
 def evaluate_brnocompspeed(
@@ -134,3 +137,52 @@ def _plot(by_system: Mapping[str, Sequence[ScoredResult]], folder: Path) -> None
     for errors, unit, name in ((absolute_errors, "km/h", "absolute"), (relative_errors, "%", "relative")):
         values = {system: np.concatenate([errors(part.score) for part in parts]) for system, parts in by_system.items()}
         plot_cumulative_errors(values, folder / f"cumulative_{name}.png", unit=unit)
+
+
+def evaluate_luvizon(
+    dataset: Path, results: Path, systems: Sequence[str], choice: str, style: TableFormat
+) -> dict[str, Any]:
+    """Score systems on videos, print the table, return what `--json` holds.
+
+    A system's file for a video is RESULTS/subset01/video01/system_NAME.json, in the public result format; its
+    `camera_calibration` may hold `lane_scales`, three factors on top of `scale`.
+
+    Raises:
+        DataError, CalibrationError: a file is missing or not of its format.
+    """
+    from tqdm import tqdm
+
+    from detector.evaluation import (
+        LUVIZON_COLUMNS,
+        format_table,
+        luvizon_row,
+        read_luvizon_video,
+        read_results,
+        score_luvizon,
+        select_videos,
+    )
+    from detector.evaluation.results_folder import result_file_name
+
+    scores: dict[str, list[LuvizonScore]] = {system: [] for system in systems}
+    rows: list[dict[str, Any]] = []
+    names = select_videos(dataset, choice)
+    for name in tqdm(names, desc="scoring", unit="video", leave=False):
+        video = read_luvizon_video(dataset / name)
+        for system in systems:
+            file = read_results(results / name / result_file_name(system))
+            score = score_luvizon(video, file.tracks, file.camera(), file.lane_scales())
+            scores[system].append(score)
+            rows.append({"system": system, "recording": name, "tracks": file.path.name, **luvizon_row([score])})
+    pooled = {system: luvizon_row(parts) for system, parts in scores.items()}
+    last: list[dict[str, Any]] = [
+        {"system": system, "recording": "pooled", "tracks": result_file_name(system), **row}
+        for system, row in pooled.items()
+    ]
+    typer.echo(format_table(rows + last, LUVIZON_COLUMNS, style))
+    return {
+        "protocol": "Luvizon, error measured - true in [-3, +2] km/h",
+        "recordings": names,
+        "systems": list(systems),
+        "rows": rows,
+        "pooled": pooled,
+    }

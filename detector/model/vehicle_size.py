@@ -25,22 +25,13 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from labelgen.geometry import Camera, Pair
+from labelgen.geometry.box_codec import CUT_PX
 from labelgen.geometry.homography import Array, apply_homography
 
-__all__ = [
-    "CUT_PX",
-    "TYPICAL_HEIGHT_M",
-    "TYPICAL_LENGTH_M",
-    "merge_sizes",
-    "moved_scene",
-    "scene_vector",
-    "sizes_from_cc",
-]
+__all__ = ["TYPICAL_HEIGHT_M", "TYPICAL_LENGTH_M", "merge_sizes", "moved_scene", "scene_vector", "sizes_from_cc"]
 
 TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M = 1.5, 4.5
 
-CUT_PX = 3.0
-"""A box whose lower side is nearer than this to the picture's lower border counts as cut by it."""
 
 _TOP_WEIGHT = 0.5
 _AHEAD = 4.0

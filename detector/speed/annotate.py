@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from detector.metrics import Found
 from detector.speed.detections import Detections
 from detector.speed.measurement import View
 from detector.tracking.iou_tracker import DUPLICATE
+from detector.visualize import draw_boxes
 from labelgen.atomic_files import as_output_error
 from labelgen.drawing import CYAN, GREEN, WHITE, YELLOW, Picture, draw_box3d, draw_polyline, draw_text
 from labelgen.errors import OutputError
 from labelgen.media.frames import Frame
 from labelgen.media.video_writer import VideoWriter
 
-__all__ = ["AnnotatedVideo", "annotate"]
+__all__ = ["AnnotatedVideo", "annotate", "draw_detections"]
 
 _COLOURS = ((80, 220, 80), (0, 200, 255), (255, 160, 60), (200, 90, 255), (90, 255, 230), (80, 120, 255))
 _TRAIL = 40
@@ -132,3 +134,11 @@ class AnnotatedVideo:
             # The first trouble is the one to tell.
             if kind is None:
                 raise
+
+
+def draw_detections(view: View, frame: NDArray[np.uint8], found: Detections) -> Picture:
+    """A frame, rectified, with its detections."""
+    assert view.rectification is not None
+    image = view.rectification.warp_image(frame)
+    draw_boxes(image, Found(found.boxes_xyxy, found.cc, found.scores), view.rectification.vpu)
+    return image

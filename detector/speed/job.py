@@ -132,9 +132,9 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
 
 
 def _job_from_model(options: SpeedOptions, checkpoint: Path) -> SpeedJob:
-    from detector.inference import Detector, model_view
-    from detector.speed.detection_source import DetectorDetections
+    from detector.inference import Detector
     from detector.speed.measurement import Variant
+    from detector.speed.model_detections import DetectorDetections, model_view
     from detector.speed.pipeline import detect
     from labelgen.errors import LabelgenError
     from labelgen.geometry import Pair, parse_size
@@ -175,7 +175,7 @@ def _open(options: SpeedOptions) -> tuple[FrameSource, Camera, RoadMask, float |
     from labelgen.datasets.scene import read_mask
     from labelgen.errors import DataError
     from labelgen.geometry import Camera, RoadMask
-    from labelgen.media.frames import open_frames
+    from labelgen.media.open_frames import open_frames
     from labelgen.media.stream import VideoStream
 
     if _is_url(options):
@@ -220,7 +220,7 @@ def job_from_file(options: SpeedOptions, path: Path, render: bool) -> SpeedJob:
     from detector.speed.pipeline import with_frames
     from labelgen.datasets.scene import find_scene
     from labelgen.errors import LabelgenError
-    from labelgen.media.frames import open_frames
+    from labelgen.media.open_frames import open_frames
     from labelgen.media.timed_frames import TimedFrames
 
     file = DetectionFile.open(path)

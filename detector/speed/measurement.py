@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from detector.model.vehicle_size import CUT_PX
 from detector.speed.detections import Detections
 from detector.speed.near_end import Outline, stand_at_near_end
 from labelgen.errors import CalibrationError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, Region, RoadMask, decode_boxes
+from labelgen.geometry.box_codec import CUT_PX
 from labelgen.geometry.homography import Array
 
 __all__ = ["Variant", "View"]

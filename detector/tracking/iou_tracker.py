@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.errors import DataError
+from labelgen.geometry.boxes import iou_matrix
 from labelgen.geometry.homography import Array
 
-__all__ = ["DUPLICATE", "IouTracker", "TrackRules", "iou_matrix"]
+__all__ = ["DUPLICATE", "IouTracker", "TrackRules"]
 
 IntArray = NDArray[np.int64]
 
@@ -51,18 +52,6 @@ class TrackRules:
             problems.append(f"max_missed: expected 0 or more, got {self.max_missed}")
         if problems:
             raise DataError("tracking rules: " + "; ".join(problems))
-
-
-def iou_matrix(first_xyxy: ArrayLike, second_xyxy: ArrayLike) -> Array:
-    """(N, M) intersection over union of boxes (N, 4) with boxes (M, 4); 0 where either has no area."""
-    a = np.asarray(first_xyxy, dtype=np.float64).reshape(-1, 1, 4)
-    b = np.asarray(second_xyxy, dtype=np.float64).reshape(1, -1, 4)
-    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    shared = np.maximum(sides, 0).prod(axis=-1)
-    areas = [np.maximum(boxes[..., 2:] - boxes[..., :2], 0).prod(axis=-1) for boxes in (a, b)]
-    union = areas[0] + areas[1] - shared
-    out: Array = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
-    return out
 
 
 class IouTracker:

@@ -10,11 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.geometry.homography import Array
+from labelgen.geometry.homography import Array, IntArray
 
-__all__ = ["IntArray", "gap_speeds_kmh", "median_per_track", "nearest_rows", "owners"]
+__all__ = ["gap_speeds_kmh", "median_per_track", "nearest_rows", "owners"]
 
-IntArray = NDArray[np.int64]
 
 _MPS_TO_KMH = 3.6
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.tracking.per_track import IntArray, owners
+from detector.tracking.per_track import owners
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
-from labelgen.geometry.homography import Array
+from labelgen.geometry.homography import Array, IntArray
 
 __all__ = ["ResultFile", "Tracks", "read_results"]
 

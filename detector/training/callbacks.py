@@ -17,7 +17,7 @@ from detector.training.lightning_module import VALIDATION_SCORE, DetectorModule
 from detector.visualize import draw_found, tile
 
 if TYPE_CHECKING:
-    from detector.training.train import Trainer
+    from detector.training.config import Trainer
 
 __all__ = ["PredictionPictures", "callbacks", "loggers"]
 

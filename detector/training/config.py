@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 from detector.data.augment import Ranges
 from detector.model.retinanet import ModelConfig
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair
 
-__all__ = ["PRESETS", "Preset", "find_preset"]
+__all__ = ["PRESETS", "Preset", "Trainer", "find_preset"]
 
 
 PAPER_WHOLE = Ranges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
@@ -101,3 +101,25 @@ def find_preset(name: str, **changes: object) -> Preset:
     if name not in PRESETS:
         raise LabelgenError(f"--preset {name}: unknown preset; use one of {', '.join(PRESETS)}")
     return replace(PRESETS[name], **{key: value for key, value in changes.items() if value is not None})  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """What Lightning needs to know of the machine.
+
+    Args:
+        accelerator, devices, num_nodes, strategy, precision: as of Lightning's own Trainer; no precision for the
+            preset's choice.
+        workers: loader processes; 0 for none beside the training itself.
+        checkpoint_every: steps between checkpoints within an epoch; 0 for the ends of epochs alone.
+        progress: whether to show a bar.
+    """
+
+    accelerator: str = "auto"
+    devices: Any = "auto"
+    num_nodes: int = 1
+    strategy: str = "auto"
+    precision: Any = None
+    workers: int = 0
+    checkpoint_every: int = 500
+    progress: bool = True

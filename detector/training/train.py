@@ -30,14 +30,14 @@ from detector.data.dataset import (
 from detector.device import gains_from_half
 from detector.model.anchor_fit import fit_anchors
 from detector.model.retinanet import build_model
-from detector.training.config import Preset
+from detector.training.config import Preset, Trainer
 from detector.training.pretrained import begin_with
 from labelgen.atomic_files import make_folder
 from labelgen.errors import LabelgenError, OutputError
 from labelgen.geometry import Region
 from labelgen.geometry.homography import Array
 
-__all__ = ["INSTALL_HINT", "TrainSummary", "Trainer", "train"]
+__all__ = ["INSTALL_HINT", "TrainSummary", "train"]
 
 INSTALL_HINT = "training needs Lightning and TensorBoard: pip install 'labelgen[train]'"
 LAST, BEST = "last.ckpt", "best.ckpt"
@@ -61,28 +61,6 @@ class TrainSummary:
     best: Path | None
     metrics: dict[str, float]
     interrupted: bool
-
-
-@dataclass(frozen=True)
-class Trainer:
-    """What Lightning needs to know of the machine.
-
-    Args:
-        accelerator, devices, num_nodes, strategy, precision: as of Lightning's own Trainer; no precision for the
-            preset's choice.
-        workers: loader processes; 0 for none beside the training itself.
-        checkpoint_every: steps between checkpoints within an epoch; 0 for the ends of epochs alone.
-        progress: whether to show a bar.
-    """
-
-    accelerator: str = "auto"
-    devices: Any = "auto"
-    num_nodes: int = 1
-    strategy: str = "auto"
-    precision: Any = None
-    workers: int = 0
-    checkpoint_every: int = 500
-    progress: bool = True
 
 
 def train(

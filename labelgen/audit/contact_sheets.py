@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.audit.originals import Originals
-from labelgen.draw import crop_around, draw_box3d, draw_label, draw_text, fit_into, tile_pictures
+from labelgen.drawing import crop_around, draw_box3d, draw_label, draw_text, fit_into, tile_pictures
 from labelgen.errors import OutputError
 from labelgen.geometry.homography import apply_homography, bounding_boxes
 from labelgen.labels import Flag, Sample, VehicleClass

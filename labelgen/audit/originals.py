@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError
-from labelgen.media.frames import open_frames
 from labelgen.media.image_file import read_image
+from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardSet
 from labelgen.shards.index import read_index
 

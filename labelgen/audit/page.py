@@ -20,7 +20,7 @@ from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.outline_label import Rule
 from labelgen.masks import create_mask_source, masked_frames, prime_masks
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardSet, summarise
 
 __all__ = ["Audit", "make_audit"]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labelgen.draw import (
+from labelgen.drawing import (
     CYAN,
     GREEN,
     MAGENTA,

@@ -16,7 +16,8 @@ from labelgen.calibration.scale.methods import scale_way
 from labelgen.datasets.scene import Scene, find_scene_parts
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
-from labelgen.media.frames import FrameSource, open_frames
+from labelgen.media.frames import FrameSource
+from labelgen.media.open_frames import open_frames
 
 __all__ = ["CALIBRATION_NAME", "ROAD_MASK_NAME", "calibrate_with_scale", "complete_scene"]
 

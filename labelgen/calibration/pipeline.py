@@ -16,7 +16,8 @@ from labelgen.calibration.observation.silhouettes import Blob, BlobCollector
 from labelgen.calibration.vanishing.bundle_adjustment import refine_orientation
 from labelgen.calibration.vanishing.orientation import Orientation, estimate_orientation
 from labelgen.geometry import Camera
-from labelgen.media.frames import FrameSource, open_frames
+from labelgen.media.frames import FrameSource
+from labelgen.media.open_frames import open_frames
 
 __all__ = ["Calibration", "EstimateScale", "Scale", "calibrate_video"]
 

@@ -58,7 +58,7 @@ def calibrate(
     from labelgen.atomic_files import make_folder, write_json
     from labelgen.calibration.complete_scene import calibrate_with_scale
     from labelgen.errors import OutputError
-    from labelgen.media.frames import open_frames
+    from labelgen.media.open_frames import open_frames
 
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
     check_report_path(json_file, out)

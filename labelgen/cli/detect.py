@@ -97,12 +97,11 @@ def _of_frames(
 ) -> Iterator[_Line]:
     from itertools import islice
 
-    from detector.inference import model_view
+    from detector.speed.annotate import draw_detections
     from detector.speed.detection_file import detections_head
-    from detector.speed.detection_source import DetectorDetections
-    from detector.visualize import draw_detections
+    from detector.speed.model_detections import DetectorDetections, model_view
     from labelgen.datasets.scene import find_scene
-    from labelgen.media.frames import open_frames
+    from labelgen.media.open_frames import open_frames
 
     scene = find_scene(source, calibration=calibration, road_mask=road_mask)
     assert scene.frames_path is not None

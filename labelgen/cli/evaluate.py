@@ -48,7 +48,7 @@ def evaluate(
     style = TableFormat.parse(table)
     systems = _names([*system, *(more_systems or [])])
     if is_luvizon(dataset):
-        from detector.evaluation.report_luvizon import evaluate_luvizon
+        from detector.evaluation.report import evaluate_luvizon
 
         if calibration != "own" or common_recall or plots is not None:
             raise DataError(f"{dataset} is of the Luvizon layout: no --calibration, --common-recall or --plots there")

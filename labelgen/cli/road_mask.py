@@ -35,7 +35,7 @@ def road_mask(
     from labelgen.calibration.road_mask import write_mask
     from labelgen.errors import OutputError
     from labelgen.geometry import Camera
-    from labelgen.media.frames import open_frames
+    from labelgen.media.open_frames import open_frames
 
     check_report_path(json_file, out)
     if out.suffix.lower() != ".png":

@@ -18,11 +18,11 @@ from labelgen.cli.options import (
     print_table,
     write_json_report,
 )
+from labelgen.datasets.brnocompspeed import read_lane_lines
 
 if TYPE_CHECKING:
     from detector.speed.pipeline import SpeedSummary
     from detector.speed.results import ResultFiles
-    from labelgen.geometry.homography import Array
 
 __all__ = ["speed"]
 
@@ -112,7 +112,7 @@ def speed(
     )
     files = ResultFiles.of(out, job.name, str(job.view.variant))
     files.prepare(overwrite=overwrite)
-    lanes, notes = _lane_lines(source)
+    lanes, notes = read_lane_lines(source)
     meter = SpeedMeter(job.view.camera, fps=job.fps, lane_lines=lanes)
     with _bar(job) as bar:
         try:
@@ -128,23 +128,6 @@ def speed(
         summary.rejects.update(job.detector.rejects)
     summary.problems += [*notes, *job.problems()]
     _close(job, files, summary, render, json_file)
-
-
-def _lane_lines(source: str) -> tuple[Array | None, list[str]]:
-    """The lane lines of a session, and what is wrong with its ground truth, if anything is."""
-    from labelgen.datasets.brnocompspeed import read_ground_truth
-    from labelgen.datasets.manifest import load_manifest
-    from labelgen.errors import DataError
-
-    path = Path(source)
-    folder = path if path.is_dir() else path.parent
-    truth = folder / load_manifest("brnocompspeed")["layout"]["ground_truth"]
-    if "://" in source or not truth.is_file():
-        return None, []
-    try:
-        return read_ground_truth(truth).lane_lines, []
-    except DataError as err:
-        return None, [f"lanes are not known: {err}"]
 
 
 def _bar(job: SpeedJob) -> AbstractContextManager[Any]:

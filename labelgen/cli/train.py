@@ -68,8 +68,7 @@ def train(
     Killed or interrupted, the same command with --resume goes on: same data in the same order, and on a CPU the same
     weights in the end.
     """
-    from detector.training.config import find_preset
-    from detector.training.train import Trainer
+    from detector.training.config import Trainer, find_preset
     from detector.training.train import train as run
 
     named = weights in ("imagenet", "none")

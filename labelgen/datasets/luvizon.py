@@ -18,10 +18,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from detector.tracking.per_track import IntArray
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError
-from labelgen.geometry.homography import Array
+from labelgen.geometry.homography import Array, IntArray
 
 __all__ = ["LANES", "LuvizonVideo", "is_luvizon", "read_luvizon_video", "select_videos"]
 

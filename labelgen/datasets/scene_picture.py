@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from labelgen.datasets.scene import Scene
 from labelgen.errors import DataError
-from labelgen.media.frames import open_frames
 from labelgen.media.image_file import read_image
+from labelgen.media.open_frames import open_frames
 
 __all__ = ["read_picture"]
 

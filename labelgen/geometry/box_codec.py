@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labelgen.geometry.homography import Array, bounding_boxes
 
-__all__ = ["EncodedBoxes", "decode_boxes", "encode_boxes", "front_bottom_midpoints", "reorder_vertices"]
+__all__ = ["CUT_PX", "EncodedBoxes", "decode_boxes", "encode_boxes", "front_bottom_midpoints", "reorder_vertices"]
 
 _TOP_ORDERS = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [3, 2, 1, 0], [2, 3, 0, 1]])
 _ORDERS = np.concatenate([_TOP_ORDERS, _TOP_ORDERS + 4], axis=1)
@@ -130,3 +130,7 @@ def front_bottom_midpoints(vertices: Array) -> Array:
     """(N, 2) the measured point of each vehicle: the middle of its bottom front edge (paper section 3.5)."""
     out: Array = vertices[:, 4:6].mean(axis=1)
     return out
+
+
+CUT_PX = 3.0
+"""A box whose lower side is nearer than this to the picture's lower border counts as cut by it."""

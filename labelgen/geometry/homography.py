@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "apply_homography", "bounding_boxes", "clip_polygon", "homogeneous", "translation"]
+__all__ = ["Array", "IntArray", "apply_homography", "bounding_boxes", "clip_polygon", "homogeneous", "translation"]
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 def homogeneous(points: ArrayLike) -> Array:

@@ -24,8 +24,9 @@ from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.labels import Sample
 from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
-from labelgen.media.frames import Frame, FrameSource, open_frames
+from labelgen.media.frames import Frame, FrameSource
 from labelgen.media.image_folder import ImageFolder
+from labelgen.media.open_frames import open_frames
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
 

@@ -1,8 +1,7 @@
 """Where instance masks come from: Mask R-CNN, a background model, or ready-made COCO masks."""
 
-from labelgen.masks.driver import masked_frames, prime_masks
 from labelgen.masks.instances import InstanceMasks, crop_mask
-from labelgen.masks.source import MASK_SOURCES, MaskSource, create_mask_source
+from labelgen.masks.source import MASK_SOURCES, MaskSource, create_mask_source, masked_frames, prime_masks
 
 __all__ = [
     "MASK_SOURCES",

@@ -16,9 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import DataError
-
-__all__ = ["Frame", "FrameSource", "SparseSource", "always", "grey_of", "open_frames", "shrunk", "sparse_frames"]
+__all__ = ["Frame", "FrameSource", "LazyFrame", "SparseSource", "always", "grey_of", "shrunk", "sparse_frames"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,22 +121,42 @@ def sparse_frames(
     return source.frames(wanted)
 
 
-def open_frames(path: str | Path, *, threads: int = 0) -> FrameSource:
-    """A video file or a folder of images, ready to iterate.
+Picture = NDArray[np.uint8]
+
+
+class LazyFrame(Frame):
+    """A frame that stands for work not yet done.
 
     Args:
-        path: video file in any format FFmpeg reads, or a folder with *.jpg, *.png, *.bmp, *.tif or *.webp files.
-        threads: decoding threads for a video; 0 leaves it to the decoder.
-
-    Raises:
-        DataError: nothing there, or nothing in it that can be read as a frame.
+        number, time_s: as in `Frame`.
+        convert: gives the picture, (H, W, 3) uint8 BGR.
+        take_greys: gives its greys at a factor, (H // factor, W // factor) uint8; None where they must be made from the
+            colours.
     """
-    from labelgen.media.image_folder import ImageFolder
-    from labelgen.media.video_reader import VideoFile
 
-    path = Path(path)
-    if path.is_dir():
-        return ImageFolder(path)
-    if not path.exists():
-        raise DataError(f"{path}: no such file or folder; give a video file or a folder of images")
-    return VideoFile(path, threads=threads)
+    def __init__(
+        self,
+        number: int,
+        time_s: float,
+        convert: Callable[[], Picture],
+        take_greys: Callable[[int], Picture | None],
+    ) -> None:
+        # What `Frame` is made of is frozen.
+        self.__dict__.update(number=number, time_s=time_s, name="", _convert=convert, _take_greys=take_greys)
+
+    @cached_property
+    def image(self) -> Picture:
+        """(H, W, 3) uint8 BGR."""
+        picture: Picture = self.__dict__["_convert"]()
+        return picture
+
+    @cached_property
+    def grey(self) -> Picture:
+        """(H, W) uint8, the image without its colours."""
+        greys: Picture | None = self.__dict__["_take_greys"](1)
+        return grey_of(self.image) if greys is None else greys
+
+    def small_grey(self, factor: int) -> Picture:
+        """(H // factor, W // factor) uint8 greys; the frame is not gone through at full size for them."""
+        greys: Picture | None = self.__dict__["_take_greys"](factor)
+        return shrunk(self.grey, factor) if greys is None else greys

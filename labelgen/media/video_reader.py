@@ -19,9 +19,8 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.media.frames import Frame, always, shrunk
+from labelgen.media.frames import Frame, LazyFrame, always, shrunk
 from labelgen.media.keyframe_seek import Leap
-from labelgen.media.lazy_frame import LazyFrame
 
 __all__ = ["VideoFile"]
 

@@ -12,10 +12,10 @@ from detector_shards import painted_sample
 
 from detector.checkpoint import Card
 from detector.device import choose_device
-from detector.inference import Detector, DeviceRectifier, fold_batch_norm, model_view, to_tensor
+from detector.inference import Detector, DeviceRectifier, fold_batch_norm, to_tensor
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
-from detector.speed.detection_source import DetectorDetections
 from detector.speed.measurement import Variant
+from detector.speed.model_detections import DetectorDetections, model_view
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rectification, RoadMask
 from labelgen.media.frames import Frame

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from labelgen.geometry import Camera
+from labelgen.geometry.camera import look_at_road
 from labelgen.media.frames import Frame, always
-from labelgen.synth.scene.scene import look_at_road
 
 SIZE = (640, 360)
 FPS = 15.0

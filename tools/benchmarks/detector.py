@@ -21,15 +21,15 @@ from typing import Any
 import torch
 from torchvision.models.detection import RetinaNet
 
-from detector.inference import Detector, model_view
+from detector.inference import Detector
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
-from detector.speed.detection_source import DetectorDetections
+from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import detect
 from detector.tracking.iou_tracker import IouTracker
 from detector.training.config import find_preset
 from labelgen.datasets.scene import find_scene
 from labelgen.geometry import parse_size
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
 
 __all__ = ["benchmark_branch", "benchmark_stages", "plain_retinanet", "synchronised_s"]

@@ -32,15 +32,16 @@ import torch
 from torch import Tensor, nn
 
 from detector.checkpoint import Card, load_detector
-from detector.inference import Detector, model_view
+from detector.inference import Detector
 from detector.model.retinanet import CcRetinaNet
-from detector.speed.detection_source import DetectorDetections
+from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import detect
 from detector.tracking.iou_tracker import IouTracker
 from detector.training.config import PRESETS
 from labelgen.datasets.scene import Scene, find_scene
 from labelgen.geometry import parse_size
-from labelgen.media.frames import Frame, FrameSource, open_frames
+from labelgen.media.frames import Frame, FrameSource
+from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
 from tools.benchmarks.detector import plain_retinanet, synchronised_s
 

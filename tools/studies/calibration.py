@@ -34,7 +34,7 @@ from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 
 __all__ = ["app", "compare_video", "ratio_error", "travel_from_cars"]
 

@@ -21,7 +21,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from labelgen.draw import crop_around, draw_box3d, draw_text, tile_pictures
+from labelgen.drawing import crop_around, draw_box3d, draw_text, tile_pictures
 from labelgen.errors import LabelgenError
 from labelgen.geometry import (
     Outline,

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.masks.background.model import Difference, lightness, slope, stain
-from labelgen.masks.background.morphology import Mask, disc, morph
-from labelgen.masks.background.patches import Box
+from labelgen.masks.background.morphology import Box, Mask, disc, morph
 
 __all__ = ["RIM", "Evidence", "find_evidence"]
 

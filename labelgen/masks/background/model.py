@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.masks.background.patches import Box, boxes_around
+from labelgen.masks.background.morphology import Box, boxes_around
 from labelgen.masks.background.sorting_network import in_order
 
 __all__ = ["BackgroundModel", "Difference", "is_ghost", "lightness", "slope", "stain"]
@@ -58,7 +58,7 @@ class Difference:
     Args:
         box: where the part lies.
         open_sides: whether the frame goes on above, below, to the left and to the right of it; if so it does not
-            differ within `labelgen.masks.background.patches.MARGIN_PX` of that side.
+            differ within `labelgen.masks.background.morphology.MARGIN_PX` of that side.
         smooth: (h, w, 3) float32, the image, slightly smoothed.
         expected: (h, w, 3) float32, the empty scene, as smooth, at the exposure of the image.
         amount: (h, w) float32 by how much they differ, grey levels.

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.media.frames import FrameSource, open_frames
+from labelgen.media.frames import FrameSource
+from labelgen.media.open_frames import open_frames
 
 __all__ = ["CHANGED", "Footage", "codec_of", "read_footage", "usual_packet"]
 

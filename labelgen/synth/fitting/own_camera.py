@@ -13,7 +13,7 @@ from labelgen.calibration.complete_scene import complete_scene
 from labelgen.calibration.observation.collect import observe
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 from labelgen.synth.fitting.footage import Footage, read_footage
 from labelgen.synth.fitting.lanes import find_lanes
 from labelgen.synth.fitting.lighting import (

@@ -11,17 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
+from labelgen.geometry.camera import look_at_road
 
-__all__ = [
-    "Lane",
-    "Scene",
-    "carriageways",
-    "line_through",
-    "look_at_road",
-    "procedural_scene",
-    "road_to_image",
-    "visible_range",
-]
+__all__ = ["Lane", "Scene", "carriageways", "line_through", "procedural_scene", "road_to_image", "visible_range"]
 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
@@ -75,35 +67,6 @@ class Scene:
     road_mask: NDArray[np.bool_]
     background: NDArray[np.uint8] | None
     x_range: tuple[float, float]
-
-
-def look_at_road(
-    height_m: float, target_xy: tuple[float, float], focal: float, size_wh: tuple[int, int], roll_deg: float = 0.0,
-    name: str = "",
-) -> Camera:  # fmt: skip
-    """Camera `height_m` above the road frame's origin that looks at a point of the road.
-
-    Args:
-        height_m: metres.
-        target_xy: metres in the road frame.
-        focal: px.
-        size_wh: frame size; the principal point lies in its middle.
-        roll_deg: turn around the optical axis.
-        name: of the camera.
-    """
-    ahead = np.array([*target_xy, -height_m], dtype=np.float64)
-    ahead /= np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    down = np.cross(ahead, right)
-    angle = np.radians(roll_deg)
-    right, down = np.cos(angle) * right + np.sin(angle) * down, np.cos(angle) * down - np.sin(angle) * right
-    # Rows: camera axes in the road frame. Columns then are the road's directions in camera axes.
-    axes = np.stack([right, down, ahead])
-    pp = np.array(size_wh) / 2
-    vp1, vp2 = (pp + focal * axes[:2, k] / axes[2, k] for k in (0, 1))
-    unit = Camera(vp1, vp2, pp, 1.0)
-    return Camera(vp1, vp2, pp, height_m / unit.height_m, image_wh=size_wh, name=name)
 
 
 def visible_range(camera: Camera, y: float, far_m: float = FARTHEST_M) -> tuple[float, float] | None:

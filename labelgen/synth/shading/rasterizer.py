@@ -15,21 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "CHROME",
-    "GLASS",
-    "LAMP",
-    "LIT",
-    "MATTE",
-    "PAINT",
-    "PLATE",
     "darken",
     "lay_over",
     "shade",
     "visible_triangles",
 ]
 
-MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT = range(7)
-"""Materials, as stored in the fourth channel of a skin."""
+from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, PAINT
 
 _F = NDArray[Any]
 

@@ -21,7 +21,7 @@ from labelgen.datasets.scene import find_scene
 from labelgen.geometry import Pair, Rectification, Region, encode_boxes, parse_size
 from labelgen.geometry.homography import bounding_boxes
 from labelgen.labels import Flag, Labels, Sample
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardWriter
 from labelgen.shards.image_codec import ImageCodec
 

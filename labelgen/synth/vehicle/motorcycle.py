@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labelgen.synth.shading.rasterizer import CHROME, GLASS, LAMP, LIT, MATTE, PAINT, PLATE
+from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, MATTE, PAINT, PLATE
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart, Mesh, box_mesh, join, tube_mesh, wheel_mesh
 from labelgen.synth.vehicle.texture import Colour, Skin

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labelgen.synth.shading.rasterizer import GLASS, LAMP, LIT, MATTE, PAINT
+from labelgen.synth.shading.materials import GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.lettering import TRADES, company_name, ink, letter_cargo, telephone
 from labelgen.synth.vehicle.mesh import Chart

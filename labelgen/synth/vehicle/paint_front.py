@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.shading.rasterizer import LAMP, LIT, MATTE, PAINT
+from labelgen.synth.shading.materials import LAMP, LIT, MATTE, PAINT
 from labelgen.synth.vehicle.body_mesh import END_M, cabin_edge, face_edge, setback
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.front_designs import FrontDesign, Opening

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.shading.rasterizer import GLASS
+from labelgen.synth.shading.materials import GLASS
 from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.texture import Colour, Skin, dim
 

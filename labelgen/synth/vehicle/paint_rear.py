@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.shading.rasterizer import CHROME, GLASS, LAMP, LIT, MATTE, PAINT
+from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.vehicle.body_mesh import cabin_edge, setback, shell_end
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labelgen.synth.shading.rasterizer import GLASS, LAMP, MATTE, PAINT
+from labelgen.synth.shading.materials import GLASS, LAMP, MATTE, PAINT
 from labelgen.synth.vehicle.body_mesh import cabin_edge, face_edge, setback, shell_end, top_line
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.lettering import letter_van

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.shading.rasterizer import GLASS, LAMP, MATTE, PLATE
+from labelgen.synth.shading.materials import GLASS, LAMP, MATTE, PLATE
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.front_designs import CAR_DESIGNS, VAN_DESIGNS, FrontDesign
 from labelgen.synth.vehicle.mesh import Chart

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.shading.rasterizer import MATTE, PAINT
+from labelgen.synth.shading.materials import MATTE, PAINT
 from labelgen.synth.vehicle.mesh import Chart
 
 __all__ = ["Colour", "Skin", "dim", "rounded"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
-from labelgen.synth.shading.rasterizer import PAINT
+from labelgen.synth.shading.materials import PAINT
 from labelgen.synth.vehicle.body_mesh import body_mesh, outside_parts
 from labelgen.synth.vehicle.body_types import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.vehicle.mesh import Chart, Mesh, box_mesh, join

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from score_scenes import Scene
 
-from detector.evaluation.brnocompspeed import lanes_of, line_crossings, prefilter
+from detector.evaluation.brnocompspeed import line_crossings, prefilter
 from detector.tracking.tracks import Tracks
+from labelgen.geometry.lanes import lanes_of
 
 NAN = float("nan")
 

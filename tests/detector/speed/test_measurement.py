@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from speed_scenes import Drive, exact_detections, make_camera, make_road, make_view
 
-from detector.speed.fragments import fragments
 from detector.speed.mask_detections import MaskPlacer
 from detector.speed.measurement import Variant, View
+from detector.speed.meter import fragments
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask
 from labelgen.masks import InstanceMasks

@@ -13,16 +13,16 @@ import pytest
 from numpy.typing import NDArray
 from speed_scenes import Drive, exact_detections, frame_times, make_view, write_scene
 
-from detector.speed.detection_source import DetectorDetections
 from detector.speed.detections import Detections
 from detector.speed.measurement import Variant
 from detector.speed.meter import SpeedMeter
+from detector.speed.model_detections import DetectorDetections
 from detector.speed.pipeline import detect, measure
 from detector.speed.results import ResultFiles
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, label_outlines, mask_outline
 from labelgen.labels import Labels
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
 
 

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detector.tracking.iou_tracker import DUPLICATE, IouTracker, TrackRules, iou_matrix
+from detector.tracking.iou_tracker import DUPLICATE, IouTracker, TrackRules
 from labelgen.errors import DataError
+from labelgen.geometry.boxes import iou_matrix
 
 A, B = [0, 0, 10, 10], [100, 0, 110, 10]
 

@@ -217,8 +217,8 @@ def test_a_checkpoint_with_code_inside_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("judged", [False, True])
 def test_published_schedule_runs_with_and_without_validation(shards: Path, tmp_path: Path, judged: bool) -> None:
     from detector.model.retinanet import ModelConfig
-    from detector.training.config import find_preset
-    from detector.training.train import Trainer, train
+    from detector.training.config import Trainer, find_preset
+    from detector.training.train import train
 
     model = ModelConfig(backbone="resnet18", levels=(3, 4, 5, 6, 7), channels=32, head_convs=1)
     preset = replace(
@@ -237,8 +237,8 @@ def test_published_schedule_runs_with_and_without_validation(shards: Path, tmp_p
 @pytest.mark.slow
 def test_overfits_sixteen_samples(tmp_path: Path) -> None:
     from detector.data.augment import Ranges
-    from detector.training.config import find_preset
-    from detector.training.train import Trainer, train
+    from detector.training.config import Trainer, find_preset
+    from detector.training.train import train
 
     shards = write_painted_shards(tmp_path / "shards", 16)
     preset = find_preset("small", epochs=1, steps_per_epoch=100, batch=8, whole=Ranges())

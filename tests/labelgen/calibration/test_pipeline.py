@@ -8,7 +8,7 @@ from drawn_roads import DrawnVideo, Mover, bend, crossing, make_camera, straight
 
 from labelgen.calibration.confidence import CalibrationRefusedError, Reason
 from labelgen.calibration.pipeline import calibrate_video
-from labelgen.synth.scene.scene import look_at_road
+from labelgen.geometry.camera import look_at_road
 
 BOTH_WAYS = [(3.0, -22.0), (6.5, -25.0), (10.0, 20.0)]
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from labelgen.errors import DataError
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 
 RATE = 25
 REAL = os.environ.get("LABELGEN_REAL_DATA")

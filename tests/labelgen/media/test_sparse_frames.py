@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from labelgen.media.frames import Frame, FrameSource, grey_of, open_frames, shrunk, sparse_frames
+from labelgen.media.frames import Frame, FrameSource, grey_of, shrunk, sparse_frames
 from labelgen.media.keyframe_seek import Leap
+from labelgen.media.open_frames import open_frames
 from labelgen.media.video_reader import VideoFile
 
 RATE = 10

@@ -16,8 +16,8 @@ from labelgen.calibration.vanishing.bundle_adjustment import refine_orientation
 from labelgen.calibration.vanishing.orientation import estimate_orientation
 from labelgen.calibration.vehicle_fit import Hypotheses, first_fit, improve, measure, residuals
 from labelgen.geometry import Camera
+from labelgen.geometry.camera import look_at_road
 from labelgen.geometry.vehicle_bodies import common_bodies
-from labelgen.synth.scene.scene import look_at_road
 
 WH = (1920, 1080)
 

@@ -10,7 +10,7 @@ from labelgen.calibration.vanishing.curvature import bend_deg
 from labelgen.calibration.vanishing.orientation import road_camera
 from labelgen.calibration.vanishing.vp1 import find_travel, group_vehicles, refine_travel, track_lines
 from labelgen.geometry import Camera
-from labelgen.synth.scene.scene import look_at_road
+from labelgen.geometry.camera import look_at_road
 
 WH = (1280, 720)
 UNIT = 1500.0

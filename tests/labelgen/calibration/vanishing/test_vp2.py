@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labelgen.calibration.vanishing.vp2 import directions, edges_of, find_across
-from labelgen.synth.scene.scene import look_at_road
+from labelgen.geometry.camera import look_at_road
 
 WH = (1920, 1080)
 PP = np.array([960.0, 540.0])

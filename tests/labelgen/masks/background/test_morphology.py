@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labelgen.masks.background.patches import MARGIN_PX, boxes_around
+from labelgen.masks.background.morphology import MARGIN_PX, boxes_around
 from labelgen.masks.background.sorting_network import in_order
 
 

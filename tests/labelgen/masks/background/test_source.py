@@ -13,7 +13,7 @@ import pytest
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 from labelgen.masks import InstanceMasks, MaskSource, create_mask_source
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 
 WH = (640, 360)
 REAL = os.environ.get("LABELGEN_REAL_DATA")

@@ -18,6 +18,7 @@ from labelgen.cli.synth import synth_app
 from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
+from labelgen.geometry.camera import look_at_road
 from labelgen.media.video_writer import VideoWriter
 from labelgen.synth.fitting.footage import Footage, read_footage
 from labelgen.synth.fitting.lanes import find_lanes
@@ -25,7 +26,7 @@ from labelgen.synth.fitting.lighting import fit_to_shadows, fit_to_tones, footag
 from labelgen.synth.fitting.sun import Shadows, find_shadows
 from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.road_image import draw_road
-from labelgen.synth.scene.scene import Scene, look_at_road, procedural_scene
+from labelgen.synth.scene.scene import Scene, procedural_scene
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Weather, make_light

@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
+from labelgen.geometry.camera import look_at_road
 from labelgen.synth.renderer.renderer import Placed, Renderer
-from labelgen.synth.scene.scene import look_at_road, procedural_scene
+from labelgen.synth.scene.scene import procedural_scene
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.glints import Stars
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Weather, make_light
-from labelgen.synth.shading.rasterizer import PAINT
+from labelgen.synth.shading.materials import PAINT
 from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.texture import Skin
 from labelgen.synth.vehicle.vehicle import make_vehicle

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labelgen.geometry.camera import look_at_road
 from labelgen.synth.renderer.renderer import Placed, Renderer
 from labelgen.synth.scene.placement import KINDS, Prop, clutter
 from labelgen.synth.scene.props import ALONG, AT
 from labelgen.synth.scene.road_image import draw_scene
-from labelgen.synth.scene.scene import carriageways, look_at_road, procedural_scene, visible_range
+from labelgen.synth.scene.scene import carriageways, procedural_scene, visible_range
 from labelgen.synth.scene.static_layer import NO_SHADE, draw_props, draw_shade, without_view_blockers
 from labelgen.synth.scene.triangles import box
 from labelgen.synth.sensor.sensor import Caption, Sensor, make_sensor

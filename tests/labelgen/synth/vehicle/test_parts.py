@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools import mask as coco
 
+from labelgen.geometry.camera import look_at_road
 from labelgen.synth.renderer.renderer import Placed, Renderer, painting_order
-from labelgen.synth.scene.scene import look_at_road, procedural_scene, road_to_image
+from labelgen.synth.scene.scene import procedural_scene, road_to_image
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.shading.rasterizer import visible_triangles

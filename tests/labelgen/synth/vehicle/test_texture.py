@@ -7,10 +7,10 @@ import pytest
 from shapely.geometry import LineString, Point, Polygon
 from shapely.ops import unary_union
 
+from labelgen.geometry.camera import look_at_road
 from labelgen.synth.renderer.renderer import Placed, Renderer
-from labelgen.synth.scene.scene import look_at_road
 from labelgen.synth.shading.lighting import Weather, make_light
-from labelgen.synth.shading.rasterizer import CHROME, GLASS, LAMP, LIT, MATTE, PAINT, PLATE
+from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, MATTE, PAINT, PLATE
 from labelgen.synth.vehicle.body_mesh import body_mesh
 from labelgen.synth.vehicle.body_types import BODY_TYPES
 from labelgen.synth.vehicle.front_designs import CAR_DESIGNS, VAN_DESIGNS, FrontDesign

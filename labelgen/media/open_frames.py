@@ -1,0 +1,30 @@
+"""The right reader for a path: a video file, or a folder of images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from labelgen.errors import DataError
+from labelgen.media.frames import FrameSource
+from labelgen.media.image_folder import ImageFolder
+from labelgen.media.video_reader import VideoFile
+
+__all__ = ["open_frames"]
+
+
+def open_frames(path: str | Path, *, threads: int = 0) -> FrameSource:
+    """A video file or a folder of images, ready to iterate.
+
+    Args:
+        path: video file in any format FFmpeg reads, or a folder with *.jpg, *.png, *.bmp, *.tif or *.webp files.
+        threads: decoding threads for a video; 0 leaves it to the decoder.
+
+    Raises:
+        DataError: nothing there, or nothing in it that can be read as a frame.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return ImageFolder(path)
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; give a video file or a folder of images")
+    return VideoFile(path, threads=threads)
