@@ -7,7 +7,16 @@ class LabelgenError(Exception):
     """Base of every error caused by input, settings or the machine rather than by a bug.
 
     The message says what was wrong, where, and how to mend it, in one line.
+
+    Args:
+        message: the line.
+        parameter: name of the function parameter whose value is wrong, as in the function's signature. The command
+            line names the option that sets it.
     """
+
+    def __init__(self, message: str = "", *, parameter: str | None = None) -> None:
+        super().__init__(message)
+        self.parameter = parameter
 
 
 class CalibrationError(LabelgenError):
