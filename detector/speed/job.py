@@ -159,9 +159,9 @@ def _job_from_model(options: SpeedOptions, checkpoint: Path) -> SpeedJob:
 
 
 def _is_url(options: SpeedOptions) -> bool:
-    from labelgen.media.stream import is_stream
+    from labelgen.media.stream import is_stream_url
 
-    return is_stream(options.source)
+    return is_stream_url(options.source)
 
 
 def source_name(source: str) -> str:

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frame", "FrameSource", "LazyFrame", "SparseSource", "always", "grey_of", "shrunk", "sparse_frames"]
+__all__ = ["Frame", "FrameSource", "LazyFrame", "always", "grey_of", "shrunk"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +64,17 @@ def always(number: int) -> bool:
 
 
 class FrameSource(Protocol):
-    """Where frames come from.
+    """Frames of a video file, a folder of images or a camera stream.
 
     Attributes:
         name: short name for messages and outputs, without the file's suffix.
-        path: the video file or the folder.
-        size_wh: px, after any rotation the file asks for.
-        frame_count: how many frames the file announces; may be wrong; None where it announces nothing.
+        path: the video file or the folder; for a stream a relative path made of the last part of its address.
+        size_wh: px, after the rotation that the file asks for.
+        frame_count: number of frames that the file announces, which may be wrong; None where none is announced.
         fps: average announced frame rate; None where there is none.
-        problems: what the last iteration had to skip or could not read, one line each.
+        is_live: whether the frames come once, as a camera sends them. Other sources can be read again.
+        problems: what the last iteration skipped or could not read, one line each.
+        failure: why the last iteration of a stream broke off; None for files and where nothing broke off.
     """
 
     @property
@@ -86,39 +88,27 @@ class FrameSource(Protocol):
     @property
     def fps(self) -> float | None: ...
     @property
+    def is_live(self) -> bool: ...
+    @property
     def problems(self) -> list[str]: ...
+    @property
+    def failure(self) -> Exception | None: ...
 
-    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
-        """The wanted frames, in order. Every call starts at the beginning; abandoning the iterator is fine.
-
-        Args:
-            wanted: whether the frame of this number is to be converted and given; others cost only their decoding.
-        """
-        ...
-
-
-@runtime_checkable
-class SparseSource(Protocol):
-    """A source that can give a few of its frames for less than all of them cost."""
-
-    def sparse_frames(self, wanted: Callable[[int], bool], not_before_s: Callable[[], float]) -> Iterator[Frame]:
-        """Wanted frames, in order, whose pictures are made when they are asked for.
+    def frames(
+        self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
+    ) -> Iterator[Frame]:
+        """Return the wanted frames, in order, from the beginning of the source. The iterator may be abandoned.
 
         Args:
-            wanted: whether the frame of this number is to be given.
-            not_before_s: asked again and again: frames before this time, s, are not wanted and may be passed over
-                undecoded, and so may some after it.
+            wanted: whether to convert and yield the frame of this number. Other frames are only decoded.
+            not_before_s: asked again for every frame; returns the time, s, before which no frame is wanted. A source
+                may skip such frames undecoded, and some wanted frames after that time with them, and may yield
+                `LazyFrame`s. Sources that cannot skip ignore it.
+
+        Raises:
+            DataError: a live source is read a second time.
         """
         ...
-
-
-def sparse_frames(
-    source: FrameSource, wanted: Callable[[int], bool], not_before_s: Callable[[], float]
-) -> Iterator[Frame]:
-    """Wanted frames of any source; see `SparseSource.sparse_frames`. Where it can pass over none, all wanted come."""
-    if isinstance(source, SparseSource):
-        return source.sparse_frames(wanted, not_before_s)
-    return source.frames(wanted)
 
 
 Picture = NDArray[np.uint8]

@@ -35,6 +35,9 @@ class ImageFolder:
         DataError: no such folder, no image file in it, or none that can be read.
     """
 
+    is_live = False
+    failure: Exception | None = None
+
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.name = self.path.resolve().name
@@ -53,7 +56,9 @@ class ImageFolder:
             raise DataError(f"{self.path}: none of its {len(self.file_names)} image files can be read")
         self.size_wh = (first.shape[1], first.shape[0])
 
-    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+    def frames(
+        self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
+    ) -> Iterator[Frame]:
         """The wanted frames; see `FrameSource.frames`. Afterwards `problems` lists the files that were skipped."""
         self.problems = []
         for number, name in enumerate(self.file_names):

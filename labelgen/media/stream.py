@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError
 from labelgen.media.frames import Frame, always
 
-__all__ = ["VideoStream", "is_stream"]
+__all__ = ["VideoStream", "is_stream_url"]
 
 _PROTOCOLS = ("http", "https", "rtsp", "rtmp", "rtp", "udp", "tcp", "srt")
 # What these protocols need below them; never the file system.
 _OPEN_OPTIONS = {"protocol_whitelist": ",".join([*_PROTOCOLS, "tls", "httpproxy", "crypto"]), "rtsp_transport": "tcp"}
 
 
-def is_stream(source: str) -> bool:
+def is_stream_url(source: str) -> bool:
     """Whether a source is a URL that FFmpeg reads over the network."""
     match = re.match(r"([a-z]+)://", source.lower())
     return match is not None and match[1] in _PROTOCOLS
@@ -54,12 +54,13 @@ class VideoStream:
     """
 
     frame_count: int | None = None
+    is_live = True
 
     def __init__(self, url: str, *, duration_s: float | None = None, stall_s: float = 10.0) -> None:
         self.url, self.path = url, Path(url.rsplit("/", 1)[-1].split("?")[0] or "stream")
         self.name = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.path.stem) or "stream"
         self.problems: list[str] = []
-        self.failure: DataError | None = None
+        self.failure: Exception | None = None
         self._duration_s, self._stall_s = duration_s, stall_s
         self._started_s = time.monotonic()
         try:
@@ -83,7 +84,9 @@ class VideoStream:
         self._first, self._begun = first, False
         self.size_wh = (int(first.width), int(first.height))
 
-    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+    def frames(
+        self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
+    ) -> Iterator[Frame]:
         """The wanted frames; see `FrameSource.frames`. It can be called once: what has come has gone.
 
         Raises:

@@ -66,7 +66,19 @@ class TimedFrames:
         """Those of the source."""
         return self._frames.problems
 
-    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+    @property
+    def is_live(self) -> bool:
+        """That of the source."""
+        return self._frames.is_live
+
+    @property
+    def failure(self) -> Exception | None:
+        """That of the source."""
+        return self._frames.failure
+
+    def frames(
+        self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
+    ) -> Iterator[Frame]:
         """The wanted frames with their times; see `FrameSource.frames`.
 
         Raises:

@@ -50,6 +50,9 @@ class VideoFile:
         DataError: the file is missing, empty, no video, without a video stream, or without one readable frame.
     """
 
+    is_live = False
+    failure: Exception | None = None
+
     def __init__(self, path: str | Path, *, threads: int = 0) -> None:
         self.path = Path(path)
         self.name = self.path.stem
@@ -70,16 +73,19 @@ class VideoFile:
             self._turn = _quarter_turn(first)
             self.size_wh = self._coded_wh[::-1] if self._turn in (90, 270) else self._coded_wh
 
-    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
-        """The wanted frames; see `FrameSource.frames`. Afterwards `problems` tells what was skipped."""
-        reformatter = av.video.reformatter.VideoReformatter()
-        for number, time_s, decoded in self._pass(None):
-            if wanted(number):
-                yield Frame(number, time_s, self._image(decoded, reformatter))
+    def frames(
+        self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
+    ) -> Iterator[Frame]:
+        """Return the wanted frames; see `FrameSource.frames`. Afterwards `problems` lists what was skipped.
 
-    def sparse_frames(self, wanted: Callable[[int], bool], not_before_s: Callable[[], float]) -> Iterator[Frame]:
-        """A few of the frames; see `labelgen.media.frames.SparseSource`. Each holds on to the decoder's memory."""
+        With `not_before_s` the frames are `LazyFrame`s, each of which keeps the decoder's picture in memory.
+        """
         reformatter = av.video.reformatter.VideoReformatter()
+        if not_before_s is None:
+            for number, time_s, decoded in self._pass(None):
+                if wanted(number):
+                    yield Frame(number, time_s, self._image(decoded, reformatter))
+            return
         leap = Leap(not_before_s)
         for number, time_s, decoded in self._pass(leap):
             if wanted(number) and not time_s < leap.landed_s:

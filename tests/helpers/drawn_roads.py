@@ -81,6 +81,8 @@ class DrawnVideo:
     size_wh: tuple[int, int] = SIZE
     fps: float | None = FPS
     problems: list[str] = field(default_factory=list)
+    failure: Exception | None = None
+    is_live: bool = False
 
     def __post_init__(self) -> None:
         self.path = Path(self.name)
@@ -89,7 +91,9 @@ class DrawnVideo:
         tile = cv2.resize(rng.integers(70, 150, (100, 100), dtype=np.uint8), (800, 800), interpolation=cv2.INTER_CUBIC)
         self._ground = tile
 
-    def frames(self, wanted: Callable[[int], bool] = always) -> Iterator[Frame]:
+    def frames(
+        self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
+    ) -> Iterator[Frame]:
         for number in range(self.frame_count):
             if wanted(number):
                 yield Frame(number, number / FPS, self.draw(number / FPS))

@@ -16,7 +16,7 @@ from labelgen.calibration.observation.edgelets import EdgeletFinder
 from labelgen.calibration.observation.klt_tracks import CameraShake, FeatureTracker, Track, working_factor
 from labelgen.errors import DataError
 from labelgen.geometry.homography import Array
-from labelgen.media.frames import Frame, FrameSource, sparse_frames
+from labelgen.media.frames import Frame, FrameSource
 from labelgen.progress import progress_bar
 
 __all__ = ["Collector", "Observations", "Track", "observe"]
@@ -95,7 +95,7 @@ def observe(
     done, time_s, check_s, ended = 0, 0.0, _FIRST_CHECK_S, True
     with progress_bar(count, "frame", "watching") as advance:
         turns = _Turns()
-        wanted = sparse_frames(source, lambda n: n % step == 0 and n / fps >= turns.next_s, lambda: turns.next_s)
+        wanted = source.frames(lambda n: n % step == 0 and n / fps >= turns.next_s, lambda: turns.next_s)
         for frame in wanted:
             time_s = frame.time_s if math.isfinite(frame.time_s) else frame.number / fps
             if duration_s is not None and time_s >= duration_s:

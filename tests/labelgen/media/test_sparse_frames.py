@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labelgen.media.frames import Frame, FrameSource, grey_of, shrunk, sparse_frames
+from labelgen.media.frames import Frame, FrameSource, grey_of, shrunk
 from labelgen.media.keyframe_seek import Leap
 from labelgen.media.open_frames import open_frames
 from labelgen.media.video_reader import VideoFile
@@ -43,7 +43,7 @@ def shown(image: np.ndarray) -> int:
 def walk(source: FrameSource, work_s: float, rest_s: float) -> list[Frame]:
     """Frames of a pass that works for a while, then asks for a rest, and so on."""
     begun, out, until = 0.0, [], [0.0]
-    for frame in sparse_frames(source, lambda n: n / RATE >= until[-1], lambda: until[-1]):
+    for frame in source.frames(lambda n: n / RATE >= until[-1], lambda: until[-1]):
         if frame.time_s > (out[-1].time_s if out else 0) + 0.5 * rest_s:
             begun = frame.time_s
         out.append(frame)
@@ -94,7 +94,7 @@ def test_where_key_frames_are_far_apart_nothing_is_lost(tmp_path: Path) -> None:
 def test_other_sources_pass_over_what_is_not_wanted(tmp_path: Path) -> None:
     for i in range(4):
         cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((8, 8, 3), i, np.uint8))
-    assert [f.number for f in sparse_frames(open_frames(tmp_path), lambda n: n != 2, lambda: 0.0)] == [0, 1, 3]
+    assert [f.number for f in open_frames(tmp_path).frames(lambda n: n != 2, lambda: 0.0)] == [0, 1, 3]
 
 
 @pytest.mark.parametrize("full_range", [False, True])
@@ -102,7 +102,7 @@ def test_greys_are_those_of_the_picture(tmp_path: Path, full_range: bool) -> Non
     codec = "mjpeg" if full_range else "mpeg4"
     source = VideoFile(write_video(tmp_path / "a.avi", 3, 1, codec=codec, full_range=full_range))
     whole = list(source.frames())
-    for lazy, eager in zip(sparse_frames(source, lambda n: True, lambda: 0.0), whole, strict=True):
+    for lazy, eager in zip(source.frames(lambda n: True, lambda: 0.0), whole, strict=True):
         assert lazy.grey.shape == (64, 320)
         np.testing.assert_allclose(lazy.grey.astype(float), grey_of(eager.image), atol=4)
         assert abs(float(lazy.grey.mean()) - float(eager.grey.mean())) < 2

@@ -10,7 +10,7 @@ from speed_scenes import write_video
 from stream_server import serve_stream
 
 from labelgen.errors import DataError
-from labelgen.media.stream import VideoStream, is_stream
+from labelgen.media.stream import VideoStream, is_stream_url
 
 
 def recording(path: Path, times_s: list[float], size_wh: tuple[int, int] = (64, 48)) -> bytes:
@@ -34,7 +34,7 @@ STEADY = [n / 25 for n in range(50)]
     ],
 )
 def test_what_is_a_stream(source: str, expected: bool) -> None:
-    assert is_stream(source) is expected
+    assert is_stream_url(source) is expected
 
 
 def test_a_stream_that_ends(tmp_path: Path) -> None:
