@@ -189,7 +189,7 @@ def test_colon_in_a_path_is_no_protocol(tmp_path: Path) -> None:
 
 SCRIPT = """
 import sys
-from labelgen.media.frames import open_frames
+from labelgen.media.open_frames import open_frames
 source = open_frames(sys.argv[1])
 frames = list(source.frames())
 print(len(frames), *source.size_wh)
