@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from detector.metrics import Found
 from detector.speed.detections import Detections
-from detector.speed.measurement import View
+from detector.speed.measurement import MeasurementView
 from detector.tracking.iou_tracker import DUPLICATE
 from detector.visualize import draw_boxes
 from labelgen.atomic_files import as_output_error
@@ -29,7 +29,7 @@ _TRAIL = 40
 
 def annotate(
     image: Picture,
-    view: View,
+    view: MeasurementView,
     found: Detections,
     ids: NDArray[np.int64],
     speeds_kmh: Mapping[int, float],
@@ -48,7 +48,7 @@ def annotate(
     thickness = max(1, round(image.shape[1] / 960))
     places: list[tuple[int, int]] = []
     # The nearest first: where names would cover each other, far vehicles go without.
-    for i in np.argsort(-found.feet_px[:, 1]).tolist():
+    for i in np.argsort(-found.contact_points_px[:, 1]).tolist():
         number = int(ids[i])
         if number == DUPLICATE:
             continue
@@ -62,7 +62,7 @@ def annotate(
             corners = view.to_frame(found.boxes_xyxy[i][[0, 1, 2, 1, 2, 3, 0, 3]].reshape(4, 2))
             draw_polyline(image, corners, GREEN, thickness, closed=True)
             top = corners.min(axis=0)
-        draw_polyline(image, found.front_px[i], YELLOW if found.whole[i] else CYAN, thickness + 1)
+        draw_polyline(image, found.front_edges_px[i], YELLOW if found.contact_visible[i] else CYAN, thickness + 1)
         if np.isfinite(top).all():
             speed = speeds_kmh.get(number, float("nan"))
             text = f"#{number}" + (f" {speed:.0f} km/h" if np.isfinite(speed) else "")
@@ -91,7 +91,7 @@ class AnnotatedVideo:
         OutputError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, view: View, fps: float) -> None:
+    def __init__(self, path: Path, view: MeasurementView, fps: float) -> None:
         self.path, self._view = path, view
         width, height = view.frame_wh
         self._even_wh = (width - width % 2, height - height % 2)
@@ -104,8 +104,8 @@ class AnnotatedVideo:
         for number in [n for n, trail in self._trails.items() if n not in speeds_kmh and len(trail)]:
             del self._trails[number]
         for i, number in enumerate(ids.tolist()):
-            if number != DUPLICATE and found.whole[i]:
-                self._trails[number] = [*self._trails.get(number, []), found.feet_px[i]][-_TRAIL:]
+            if number != DUPLICATE and found.contact_visible[i]:
+                self._trails[number] = [*self._trails.get(number, []), found.contact_points_px[i]][-_TRAIL:]
         image = frame.image[: self._even_wh[1], : self._even_wh[0]].copy()
         annotate(image, self._view, found, ids, speeds_kmh, self._trails)
         clock = f"{frame.time_s:8.2f} s" if np.isfinite(frame.time_s) else ""
@@ -136,7 +136,7 @@ class AnnotatedVideo:
                 raise
 
 
-def draw_detections(view: View, frame: NDArray[np.uint8], found: Detections) -> Picture:
+def draw_detections(view: MeasurementView, frame: NDArray[np.uint8], found: Detections) -> Picture:
     """A frame, rectified, with its detections."""
     assert view.rectification is not None
     image = view.rectification.warp_image(frame)

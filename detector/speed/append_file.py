@@ -12,10 +12,10 @@ from types import TracebackType
 
 from labelgen.atomic_files import as_output_error
 
-__all__ = ["RecordFile"]
+__all__ = ["AppendFile"]
 
 
-class RecordFile:
+class AppendFile:
     """Context manager for a file of `head record separator record ... tail`.
 
     Args:
@@ -61,7 +61,7 @@ class RecordFile:
         while done < len(data):
             done += os.pwrite(self._file.fileno(), data[done:], at + done)
 
-    def __enter__(self) -> RecordFile:
+    def __enter__(self) -> AppendFile:
         return self
 
     def __exit__(

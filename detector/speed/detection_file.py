@@ -6,12 +6,12 @@
     {"frame": 0, "time_s": 0.0, "boxes": [[x0, y0, x1, y1], ...], "scores": [...], "classes": [...], "cc": [...]}
     ...
 
-One line per frame, frames without detections included. Boxes lie in the rectified picture, or in the frame where
-`rectification` is null. `cc` is there for variants that decode it, `vertices` (eight points each, frame px) for all
-that have 3D boxes; a reader needs `vertices` only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may
-be left out, `time_s` may be null or left out where `fps` is given. `outlines`, null where it is left out, says of what
-the outlines are that boxes end with (`detector.speed.near_end.Outline`); null where boxes end as true 3D boxes stand
-on the road.
+One line per frame, frames without detections included. `boxes` lie in the rectified picture, or in the frame where
+`rectification` is null. `cc` is there for variants that decode it. `vertices` (eight points each, frame px) is there for
+all variants with 3D boxes; a reader needs it only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may be
+left out. `time_s` may be null or left out where `fps` is given. `outlines` is the value of a
+`detector.speed.contact_point.MaskExtent` where boxes end with the outline of a mask. It is null or left out where boxes
+end at the edge of a 3D box on the road.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
+from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
-from detector.speed.measurement import Variant, View
-from detector.speed.near_end import Outline
+from detector.speed.measurement import MeasurementView, Variant
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
 
@@ -36,7 +36,7 @@ __all__ = ["DetectionFile", "detections_head"]
 _FORMAT, _VERSION = "labelgen-detections", 1
 
 
-def detections_head(view: View, fps: float | None) -> str:
+def detections_head(view: MeasurementView, fps: float | None) -> str:
     """First line of the file."""
     rectification = view.rectification
     head = {
@@ -53,7 +53,7 @@ def detections_head(view: View, fps: float | None) -> str:
             "matrix": rectification.matrix.tolist(),
             "vpu": rectification.vpu.tolist(),
         },
-        "outlines": None if view.outline is None else view.outline.value,
+        "outlines": None if view.mask_extent is None else view.mask_extent.value,
     }
     return json.dumps(head) + "\n"
 
@@ -66,7 +66,7 @@ class DetectionFile:
         path: the file.
         variant, frame_wh, fps: as the head says.
         rectification: that of the boxes; None where they lie in the frame.
-        outline: of what the outlines are that boxes end with; None where they do not.
+        mask_extent: of what the outlines are that boxes end with; None where they do not.
     """
 
     path: Path
@@ -74,7 +74,7 @@ class DetectionFile:
     frame_wh: tuple[int, int]
     fps: float | None
     rectification: Rectification | None
-    outline: Outline | None
+    mask_extent: MaskExtent | None
 
     @classmethod
     def open(cls, path: Path) -> DetectionFile:
@@ -102,18 +102,18 @@ class DetectionFile:
             if fps is not None and not (math.isfinite(fps) and fps > 0):
                 raise ValueError(f"fps {fps}")
             rectification = _rectification(head["rectification"], frame_wh)
-            outline = None if head.get("outlines") is None else Outline(head["outlines"])
+            mask_extent = None if head.get("outlines") is None else MaskExtent(head["outlines"])
         except (KeyError, IndexError, TypeError, ValueError, AttributeError, LabelgenError) as err:
             raise DataError(f"detections {path}: its first line is damaged ({err})") from None
         if rectification is None and not variant.in_frame:
             raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
-        return cls(path, variant, frame_wh, fps, rectification, outline)
+        return cls(path, variant, frame_wh, fps, rectification, mask_extent)
 
-    def view(self, camera: Camera) -> View:
+    def view(self, camera: Camera) -> MeasurementView:
         """The view its boxes lie in, with a camera for metres."""
-        return View(self.variant, camera, self.rectification, self.outline)
+        return MeasurementView(self.variant, camera, self.rectification, self.mask_extent)
 
-    def frames(self, view: View) -> Iterator[Detections]:
+    def frames(self, view: MeasurementView) -> Iterator[Detections]:
         """The detections, frame by frame.
 
         Raises:
@@ -133,7 +133,7 @@ class DetectionFile:
                 last = found.frame
                 yield found
 
-    def _detections(self, view: View, line: dict[str, Any], number: int) -> Detections:
+    def _detections(self, view: MeasurementView, line: dict[str, Any], number: int) -> Detections:
         try:
             frame, time_s, boxes = line["frame"], line.get("time_s"), line["boxes"]
             if not isinstance(frame, int) or frame < 0:

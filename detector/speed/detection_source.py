@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import View
+from detector.speed.measurement import MeasurementView
 from labelgen.media.frames import Frame, FrameSource
 
 __all__ = ["DetectionSource"]
@@ -23,7 +23,7 @@ class DetectionSource(Protocol):
     """
 
     @property
-    def view(self) -> View: ...
+    def view(self) -> MeasurementView: ...
     @property
     def rejects(self) -> Counter[str]: ...
     @property

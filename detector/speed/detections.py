@@ -15,7 +15,7 @@ __all__ = ["Detections"]
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """N vehicles found in one frame; made by `detector.speed.measurement.View.place`.
+    """N vehicles found in one frame; made by `detector.speed.measurement.MeasurementView.place`.
 
     Args:
         frame: its number.
@@ -26,8 +26,8 @@ class Detections:
         class_ids: (N,) uint8, `labelgen.labels.VehicleClass`.
         vertices_px: (N, 8, 2) frame px, the 3D boxes in the order of `labelgen.geometry.box_codec`; NaN for 2D
             variants.
-        front_px: (N, 2, 2) frame px, both ends of the bottom front edge.
-        feet_px: (N, 2) frame px, the measured points: the middles of the bottom front edges.
+        front_edges_px: (N, 2, 2) frame px, both ends of the bottom front edge.
+        contact_points_px: (N, 2) frame px, the measured points: the middles of the bottom front edges.
         whole: (N,) False where the view's lower border cuts off the vehicle's foot.
     """
 
@@ -38,9 +38,9 @@ class Detections:
     scores: Array
     class_ids: NDArray[np.uint8]
     vertices_px: Array
-    front_px: Array
-    feet_px: Array
-    whole: NDArray[np.bool_]
+    front_edges_px: Array
+    contact_points_px: Array
+    contact_visible: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.boxes_xyxy)

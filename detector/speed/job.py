@@ -12,8 +12,8 @@ from labelgen.cli.options import note
 
 if TYPE_CHECKING:
     from detector.speed.detection_source import DetectionSource
-    from detector.speed.measurement import View
-    from detector.speed.pipeline import Found
+    from detector.speed.measurement import MeasurementView
+    from detector.speed.pipeline import FrameDetections
     from labelgen.geometry import Camera, RoadMask
     from labelgen.masks import MaskSource
     from labelgen.media.frames import Frame, FrameSource
@@ -50,7 +50,7 @@ class SpeedJob:
     """What is measured: a view, an iterator of detections, and what can be told afterwards."""
 
     name: str
-    view: View
+    view: MeasurementView
     fps: float | None
     frames: FrameSource | None
     detector: DetectionSource | None
@@ -68,9 +68,9 @@ class SpeedJob:
 
 
 def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob:
+    from detector.speed.contact_point import MaskExtent
     from detector.speed.mask_detections import MaskDetections, MaskPlacer
-    from detector.speed.measurement import Variant, View
-    from detector.speed.near_end import Outline
+    from detector.speed.measurement import MeasurementView, Variant
     from detector.speed.pipeline import detect
     from labelgen.datasets.manifest import load_manifest
     from labelgen.errors import LabelgenError
@@ -100,12 +100,12 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
     size_wh = parse_size(options.size or load_manifest("brnocompspeed")["sizes"][str(pair)])
     is_url = _is_url(options)
     frames, camera, road, rate = _open(options)
-    outline = None
+    mask_extent = None
     if options.near_end == "vehicle":
         # The outlines of `sochor` are a background model's, too.
         shaded = argument == "background" or chosen is Variant.SOCHOR
-        outline = Outline.BODY_AND_SHADE if shaded else Outline.BODY
-    view = View.create(chosen, camera, road, pair, size_wh, outline=outline)
+        mask_extent = MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
+    view = MeasurementView.create(chosen, camera, road, pair, size_wh, mask_extent=mask_extent)
     masks: MaskSource = create_mask_source(
         argument, weights=options.weights, score_threshold=options.score, road_mask=road.pixels,
         device=options.device, frame_wh=frames.size_wh,
@@ -115,7 +115,7 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
     detector = MaskDetections(masks, MaskPlacer(view, road, pair, rule))
     timed = _timed(frames, masks, frames.fps or rate, options.duration)
 
-    def found() -> Iterator[Found]:
+    def found() -> Iterator[FrameDetections]:
         if not is_url:
             prime_masks(masks, frames)
         return detect(detector, timed)
@@ -235,7 +235,7 @@ def job_from_file(options: SpeedOptions, path: Path, render: bool) -> SpeedJob:
     frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if render and scene.frames_path is not None else None
     duration = options.duration
 
-    def found() -> Iterator[Found]:
+    def found() -> Iterator[FrameDetections]:
         lines = file.frames(view)
         kept = lines if duration is None else takewhile(lambda line: not line.time_s >= duration, lines)
         return with_frames(kept, frames)

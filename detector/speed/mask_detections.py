@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import Variant, View
+from detector.speed.measurement import MeasurementView, Variant
 from labelgen.errors import RectificationError
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
 from labelgen.labeling.from_masks import LabelLimits, label_masks
@@ -39,7 +39,12 @@ class MaskPlacer:
     """
 
     def __init__(
-        self, view: View, road: RoadMask, pair: Pair, rule: Rule = Rule.WIDER, limits: LabelLimits = SPEED_LIMITS
+        self,
+        view: MeasurementView,
+        road: RoadMask,
+        pair: Pair,
+        rule: Rule = Rule.WIDER,
+        limits: LabelLimits = SPEED_LIMITS,
     ) -> None:
         self.view, self.rejects = view, Counter[str]()
         self._road, self._pair, self._rule, self._limits = road.pixels, pair, rule, limits

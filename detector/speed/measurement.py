@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from detector.speed.contact_point import MaskExtent, move_to_contact_point
 from detector.speed.detections import Detections
-from detector.speed.near_end import Outline, stand_at_near_end
 from labelgen.errors import CalibrationError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, Region, RoadMask, decode_boxes
 from labelgen.geometry.box_codec import CUT_PX
 from labelgen.geometry.homography import Array
 
-__all__ = ["Variant", "View"]
+__all__ = ["MeasurementView", "Variant"]
 
 
 class Variant(StrEnum):
@@ -80,16 +80,16 @@ class Variant(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class MeasurementView:
     """The picture in which a variant's boxes lie and are tracked, and the way from it back to the frame.
 
     Args:
         variant: the way.
         camera: with a scale and the size of its frame.
         rectification: of the frame; None where boxes lie in the frame.
-        outline: of what the outlines are where boxes end with them, as those from masks, and not at the edge of a true
-            3D box on the road: measured points are moved there (`detector.speed.near_end`), but for `orig2d`. None
-            leaves them.
+        mask_extent: what the masks cover, for boxes that end with the outline of a mask. Measured points are then
+            moved to the contact point (`detector.speed.contact_point`), except those of `orig2d`. None for boxes that
+            end at the edge of a 3D box on the road.
 
     Raises:
         CalibrationError: the camera has no scale, or does not know its frame's size.
@@ -98,7 +98,7 @@ class View:
     variant: Variant
     camera: Camera
     rectification: Rectification | None
-    outline: Outline | None = None
+    mask_extent: MaskExtent | None = None
 
     def __post_init__(self) -> None:
         if self.camera.image_wh is None:
@@ -115,8 +115,8 @@ class View:
         pair: Pair,
         size_wh: tuple[int, int],
         *,
-        outline: Outline | None = None,
-    ) -> View:
+        mask_extent: MaskExtent | None = None,
+    ) -> MeasurementView:
         """The view of a scene.
 
         Raises:
@@ -124,8 +124,8 @@ class View:
             RectificationError: the scene admits no such rectification.
         """
         if variant.in_frame:
-            return cls(variant, camera, None, outline)
-        return cls(variant, camera, Rectification.of_region(variant.region, camera, road, pair, size_wh), outline)
+            return cls(variant, camera, None, mask_extent)
+        return cls(variant, camera, Rectification.of_region(variant.region, camera, road, pair, size_wh), mask_extent)
 
     @property
     def frame_wh(self) -> tuple[int, int]:
@@ -173,8 +173,8 @@ class View:
         classes = np.zeros(n, dtype=np.uint8) if class_ids is None else np.asarray(class_ids, dtype=np.uint8)
         shares, vertices, front = self._boxes_3d(boxes, cc, vertices_px)
         feet = self._middles(front)
-        if self.outline is not None and self.variant is not Variant.ORIG2D:
-            feet = stand_at_near_end(self.camera, feet, self.outline)
+        if self.mask_extent is not None and self.variant is not Variant.ORIG2D:
+            feet = move_to_contact_point(self.camera, feet, self.mask_extent)
         solid = np.isfinite(boxes).all(axis=1) & (boxes[:, :2] < boxes[:, 2:]).all(axis=1)
         valid = np.asarray(solid & np.isfinite(front).all(axis=(1, 2)) & np.isfinite(feet).all(axis=1))
         found = Detections(
@@ -185,9 +185,9 @@ class View:
             scores=weights[valid],
             class_ids=classes[valid],
             vertices_px=vertices[valid],
-            front_px=self.to_frame(front[valid]),
-            feet_px=feet[valid],
-            whole=self._whole(boxes[valid]),
+            front_edges_px=self.to_frame(front[valid]),
+            contact_points_px=feet[valid],
+            contact_visible=self._whole(boxes[valid]),
         )
         return found, valid
 

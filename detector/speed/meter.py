@@ -22,7 +22,7 @@ from labelgen.geometry import Camera, cuboid_sizes
 from labelgen.geometry.homography import Array
 from labelgen.geometry.lanes import lanes_of
 
-__all__ = ["MeasureRules", "SpeedMeter", "Vehicle", "fragments", "speed_and_error"]
+__all__ = ["MeasureRules", "MeasuredVehicle", "SpeedMeter", "inside_larger_box", "speed_and_error"]
 
 IntArray = NDArray[np.int64]
 _FULL_HD_WIDTH = 1920
@@ -65,7 +65,7 @@ class MeasureRules:
 
 
 @dataclass(frozen=True, eq=False)
-class Vehicle:
+class MeasuredVehicle:
     """One vehicle that has passed; K points that count.
 
     Args:
@@ -111,7 +111,7 @@ class _Points:
 
     frames: list[int] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
-    feet_px: list[Array] = field(default_factory=list)
+    contact_points_px: list[Array] = field(default_factory=list)
     vertices_px: list[Array] = field(default_factory=list)
     class_ids: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
@@ -142,9 +142,9 @@ def speed_and_error(points_m: Array, times_s: Array) -> tuple[float, float]:
     return speed, _MEDIAN_ERROR * spread / float(np.sqrt(max(1.0, count / GAP)))
 
 
-def _measure(track_id: int, points: _Points, camera: Camera, lane_lines: Array | None) -> Vehicle:
+def _measure(track_id: int, points: _Points, camera: Camera, lane_lines: Array | None) -> MeasuredVehicle:
     """Measure a finished track."""
-    feet, times = np.array(points.feet_px), np.array(points.times_s)
+    feet, times = np.array(points.contact_points_px), np.array(points.times_s)
     ground = camera.road_points(feet, invalid="nan")
     speed, error = speed_and_error(ground, times)
     sizes = cuboid_sizes(np.array(points.vertices_px), camera)
@@ -153,7 +153,7 @@ def _measure(track_id: int, points: _Points, camera: Camera, lane_lines: Array |
     if lane_lines is not None:
         lanes = Counter(lanes_of(feet, lane_lines).tolist())
         lane = lanes.most_common(1)[0][0]
-    return Vehicle(
+    return MeasuredVehicle(
         track_id=track_id,
         frames=np.array(points.frames, dtype=np.int64),
         times_s=times,
@@ -199,7 +199,7 @@ class SpeedMeter:
         self._tracks: dict[int, _Points] = {}
         self._tick = -1
 
-    def add(self, found: Detections) -> tuple[IntArray, list[Vehicle]]:
+    def add(self, found: Detections) -> tuple[IntArray, list[MeasuredVehicle]]:
         """Take in one frame's detections.
 
         Returns:
@@ -211,7 +211,7 @@ class SpeedMeter:
             tick = round(found.time_s * self._fps)
         self._tick = max(tick, self._tick + 1)
         ids = np.full(len(found), DUPLICATE, dtype=np.int64)
-        own = ~fragments(found)
+        own = ~inside_larger_box(found)
         ids[own], ended = self._tracker.update(self._tick, found.boxes_xyxy[own], found.scores[own])
         counts = self._counts(found)
         for i, number in enumerate(ids.tolist()):
@@ -223,13 +223,13 @@ class SpeedMeter:
             if counts[i] and not (points.times_s and found.time_s <= points.times_s[-1]):
                 points.frames.append(found.frame)
                 points.times_s.append(found.time_s)
-                points.feet_px.append(found.feet_px[i])
+                points.contact_points_px.append(found.contact_points_px[i])
                 points.vertices_px.append(found.vertices_px[i])
                 points.class_ids.append(int(found.class_ids[i]))
                 points.scores.append(float(found.scores[i]))
         return ids, self._measured(ended)
 
-    def finish(self) -> list[Vehicle]:
+    def finish(self) -> list[MeasuredVehicle]:
         """End all tracks."""
         return self._measured(self._tracker.finish())
 
@@ -238,18 +238,18 @@ class SpeedMeter:
         points = self._tracks.get(track_id)
         if points is None or len(points.times_s) <= GAP:
             return float("nan")
-        ground = self._camera.road_points(np.array(points.feet_px), invalid="nan")
+        ground = self._camera.road_points(np.array(points.contact_points_px), invalid="nan")
         offsets = np.array([0, len(ground)])
         return float(gap_speeds_kmh(ground, np.array(points.times_s), offsets, GAP)[0])
 
     def _counts(self, found: Detections) -> NDArray[np.bool_]:
         """(N,) whose points count: the foot is inside the picture and on the road."""
         low, high = self.rules.border_px, np.asarray(self._camera.image_wh) - self.rules.border_px
-        inside = ((found.front_px > low) & (found.front_px < high)).all(axis=(1, 2))
-        on_road = np.isfinite(self._camera.road_points(found.feet_px, invalid="nan")).all(axis=1)
-        return np.asarray(inside & found.whole & on_road)
+        inside = ((found.front_edges_px > low) & (found.front_edges_px < high)).all(axis=(1, 2))
+        on_road = np.isfinite(self._camera.road_points(found.contact_points_px, invalid="nan")).all(axis=1)
+        return np.asarray(inside & found.contact_visible & on_road)
 
-    def _measured(self, ended: list[int]) -> list[Vehicle]:
+    def _measured(self, ended: list[int]) -> list[MeasuredVehicle]:
         vehicles = []
         for number in ended:
             points = self._without_leaps(self._tracks.pop(number))
@@ -264,7 +264,7 @@ class SpeedMeter:
         """The longest part in which the vehicle drives."""
         if len(points.times_s) < 2:
             return points
-        ground = self._camera.road_points(np.array(points.feet_px), invalid="nan")
+        ground = self._camera.road_points(np.array(points.contact_points_px), invalid="nan")
         way = np.hypot(*np.diff(ground, axis=0).T)
         leaps = np.flatnonzero(way > self.rules.leap_m + self.rules.leap_kmh / 3.6 * np.diff(points.times_s)) + 1
         ends = np.array([0, *leaps, len(points.times_s)])
@@ -274,11 +274,11 @@ class SpeedMeter:
     def _too_short(self, points: _Points) -> str:
         if len(points.frames) < self.rules.min_points:
             return "too few points"
-        reach = float(np.linalg.norm(points.feet_px[-1] - points.feet_px[0]))
+        reach = float(np.linalg.norm(points.contact_points_px[-1] - points.contact_points_px[0]))
         return "" if reach > self.rules.min_length_px else "too short"
 
 
-def fragments(found: Detections) -> NDArray[np.bool_]:
+def inside_larger_box(found: Detections) -> NDArray[np.bool_]:
     """(N,) which detections stand where a larger one stands: no two vehicles share a piece of road.
 
     A detection counts as a fragment where its measured point lies on the floor of the 3D box of another one whose 2D
@@ -286,7 +286,7 @@ def fragments(found: Detections) -> NDArray[np.bool_]:
     """
     floors = found.vertices_px[:, 4:]
     starts, ends = floors[None], np.roll(floors, -1, axis=1)[None]
-    ahead, to_point = ends - starts, found.feet_px[:, None, None] - starts
+    ahead, to_point = ends - starts, found.contact_points_px[:, None, None] - starts
     side = ahead[..., 0] * to_point[..., 1] - ahead[..., 1] * to_point[..., 0]
     with np.errstate(invalid="ignore"):
         inside = (side > 0).all(axis=2) | (side < 0).all(axis=2)

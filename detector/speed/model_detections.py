@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from detector.checkpoint import Card
 from detector.speed.detections import Detections
-from detector.speed.measurement import Variant, View
+from detector.speed.measurement import MeasurementView, Variant
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
 from labelgen.labels import Labels
@@ -21,7 +21,7 @@ from labelgen.media.frames import Frame, FrameSource
 __all__ = ["Detector", "DetectorDetections", "model_view"]
 
 
-def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> View:
+def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> MeasurementView:
     """The view of a scene in which a model's detections lie.
 
     Args:
@@ -47,10 +47,10 @@ def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | No
         known = " or ".join(dict.fromkeys((solid, flat)))
         raise LabelgenError(f"--variant {chosen}: this detector was trained on {kind}; use {known}")
     if region is Region.NONE:
-        return View(chosen, camera, Rectification.of_region(region, camera, road, card.pair, card.size_wh))
+        return MeasurementView(chosen, camera, Rectification.of_region(region, camera, road, card.pair, card.size_wh))
     if chosen.is_3d and not card.config.cc_weight:
         raise LabelgenError(f"--variant {chosen}: this detector was trained without c_c; use {flat}")
-    return View.create(chosen, camera, road, card.pair, card.size_wh)
+    return MeasurementView.create(chosen, camera, road, card.pair, card.size_wh)
 
 
 class Detector(Protocol):
@@ -84,7 +84,7 @@ class DetectorDetections:
         LabelgenError: the view has no rectified picture.
     """
 
-    def __init__(self, detector: Detector, view: View, *, batch: int | None = None) -> None:
+    def __init__(self, detector: Detector, view: MeasurementView, *, batch: int | None = None) -> None:
         if view.rectification is None:
             raise LabelgenError(f"--variant {view.variant}: it needs masks; a detector sees rectified pictures only")
         self.view, self.rejects, self.problems = view, Counter[str](), list[str]()

@@ -14,18 +14,18 @@ import numpy as np
 from detector.speed.annotate import AnnotatedVideo
 from detector.speed.detection_source import DetectionSource
 from detector.speed.detections import Detections
-from detector.speed.measurement import View
-from detector.speed.meter import SpeedMeter, Vehicle
+from detector.speed.measurement import MeasurementView
+from detector.speed.meter import MeasuredVehicle, SpeedMeter
 from detector.speed.results import ResultFiles, ResultWriter
 from labelgen.media.frames import Frame
 from labelgen.media.prefetch import prefetch
 from labelgen.media.timed_frames import TimedFrames
 
-__all__ = ["Found", "SpeedSummary", "detect", "measure", "with_frames"]
+__all__ = ["FrameDetections", "SpeedSummary", "detect", "measure", "with_frames"]
 
 _DETECTIONS_AHEAD = 4
 
-Found = tuple[Frame | None, Detections]
+FrameDetections = tuple[Frame | None, Detections]
 
 
 @dataclass
@@ -75,12 +75,12 @@ class SpeedSummary:
         }
 
 
-def detect(source: DetectionSource, frames: TimedFrames) -> Iterator[Found]:
+def detect(source: DetectionSource, frames: TimedFrames) -> Iterator[FrameDetections]:
     """Frames with their detections; reading and detecting each run ahead in their own thread."""
     return prefetch(source.stream(frames), _DETECTIONS_AHEAD)
 
 
-def with_frames(lines: Iterable[Detections], frames: TimedFrames | None) -> Iterator[Found]:
+def with_frames(lines: Iterable[Detections], frames: TimedFrames | None) -> Iterator[FrameDetections]:
     """Detections read from a file, with their frames beside them where there are any; frames without are left out."""
     if frames is None:
         for found in lines:
@@ -96,8 +96,8 @@ def with_frames(lines: Iterable[Detections], frames: TimedFrames | None) -> Iter
 
 
 def measure(
-    found: Iterator[Found],
-    view: View,
+    found: Iterator[FrameDetections],
+    view: MeasurementView,
     meter: SpeedMeter,
     files: ResultFiles,
     *,
@@ -151,7 +151,7 @@ def measure(
     return summary
 
 
-def _write(writer: ResultWriter, vehicles: list[Vehicle], summary: SpeedSummary) -> None:
+def _write(writer: ResultWriter, vehicles: list[MeasuredVehicle], summary: SpeedSummary) -> None:
     for vehicle in vehicles:
         writer.add_vehicle(vehicle)
         summary.vehicles += 1

@@ -16,11 +16,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from detector.speed.append_file import RecordFile
+from detector.speed.append_file import AppendFile
 from detector.speed.detection_file import detections_head
 from detector.speed.detections import Detections
-from detector.speed.measurement import View
-from detector.speed.meter import Vehicle
+from detector.speed.measurement import MeasurementView
+from detector.speed.meter import MeasuredVehicle
 from labelgen.atomic_files import make_folder
 from labelgen.errors import OutputError
 from labelgen.labels import VehicleClass
@@ -78,18 +78,20 @@ class ResultWriter:
         OutputError: a file cannot be written; what was finished before is in it.
     """
 
-    def __init__(self, files: ResultFiles, view: View, fps: float | None, *, keep_detections: bool = True) -> None:
+    def __init__(
+        self, files: ResultFiles, view: MeasurementView, fps: float | None, *, keep_detections: bool = True
+    ) -> None:
         calibration = json.dumps(view.camera.to_dict()["camera_calibration"])
         with ExitStack() as stack:
             self._tracks = stack.enter_context(
-                RecordFile(
+                AppendFile(
                     files.tracks, head=f'{{"camera_calibration": {calibration}, "cars": [\n', separator=",\n",
                     tail="\n]}\n",
                 )
             )  # fmt: skip
-            self._vehicles = stack.enter_context(RecordFile(files.vehicles, head=",".join(CSV_COLUMNS) + "\n"))
+            self._vehicles = stack.enter_context(AppendFile(files.vehicles, head=",".join(CSV_COLUMNS) + "\n"))
             self._detections = (
-                stack.enter_context(RecordFile(files.detections, head=detections_head(view, fps)))
+                stack.enter_context(AppendFile(files.detections, head=detections_head(view, fps)))
                 if keep_detections
                 else None
             )
@@ -105,7 +107,7 @@ class ResultWriter:
         if self._detections is not None:
             self._detections.add(json.dumps(found.to_dict()) + "\n")
 
-    def add_vehicle(self, vehicle: Vehicle) -> None:
+    def add_vehicle(self, vehicle: MeasuredVehicle) -> None:
         """Write one vehicle."""
         self._tracks.add(json.dumps(vehicle.to_car()))
         self._vehicles.add(",".join(_row(vehicle)) + "\n")
@@ -119,7 +121,7 @@ class ResultWriter:
         self._stack.__exit__(kind, value, trace)
 
 
-def _row(vehicle: Vehicle) -> list[str]:
+def _row(vehicle: MeasuredVehicle) -> list[str]:
     length, width, height = (_number(v, 2) for v in vehicle.size_lwh_m)
     return [
         str(vehicle.track_id),

@@ -123,7 +123,7 @@ def test_a_model_of_plain_frames_sees_plain_frames() -> None:
     np.testing.assert_allclose(view.to_frame([[80.0, 48.0]]), [[SIZE[0] / 2, SIZE[1] / 2]])
     placed, valid = view.place(0, 0.0, [[60.0, 30.0, 100.0, 60.0]])
     assert valid.all()
-    np.testing.assert_allclose(placed.feet_px, [[SIZE[0] / 2, 60 / 96 * SIZE[1]]])
+    np.testing.assert_allclose(placed.contact_points_px, [[SIZE[0] / 2, 60 / 96 * SIZE[1]]])
     with pytest.raises(LabelgenError, match="trained on frames as they are; use orig2d"):
         model_view(plain, CAMERA, ROAD, Variant.TRANSFORM2D)
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import Variant, View
+from detector.speed.measurement import MeasurementView, Variant
 from labelgen.geometry import Camera, Pair, RoadMask, encode_boxes, road_cuboids
 from labelgen.geometry.homography import bounding_boxes
 
@@ -62,7 +62,7 @@ class Drive:
         return vertices if (vertices > 0).all() and (vertices < camera.image_wh).all() else None
 
 
-def exact_detections(view: View, drives: list[Drive], frame: int, time_s: float) -> Detections:
+def exact_detections(view: MeasurementView, drives: list[Drive], frame: int, time_s: float) -> Detections:
     """What a detector without any error finds in one frame."""
     shown = [v for drive in drives if (v := drive.seen(view.camera, time_s)) is not None]
     vertices = np.array(shown).reshape(-1, 8, 2)
@@ -73,9 +73,9 @@ def exact_detections(view: View, drives: list[Drive], frame: int, time_s: float)
     return view.place(frame, time_s, encoded.boxes_xyxy, encoded.cc)[0]
 
 
-def make_view(variant: Variant, pair: Pair = Pair.VP2_VP3, factor: float = 1.0) -> View:
+def make_view(variant: Variant, pair: Pair = Pair.VP2_VP3, factor: float = 1.0) -> MeasurementView:
     camera = make_camera(factor)
-    return View.create(variant, camera, make_road(camera), pair, SIZES[pair])
+    return MeasurementView.create(variant, camera, make_road(camera), pair, SIZES[pair])
 
 
 def frame_times(duration_s: float, fps: float) -> list[float]:

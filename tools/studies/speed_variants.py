@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from detector.evaluation import GroundTruth, Tracks, score_recording
+from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskPlacer
-from detector.speed.measurement import Variant, View
+from detector.speed.measurement import MeasurementView, Variant
 from detector.speed.meter import SpeedMeter
-from detector.speed.near_end import Outline
 from labelgen.atomic_files import make_folder, write_json
 from labelgen.datasets.brnocompspeed import parse_ground_truth
 from labelgen.datasets.manifest import load_manifest
@@ -66,7 +66,7 @@ class _Lane:
     """One variant at work."""
 
     name: str
-    view: View
+    view: MeasurementView
     placer: MaskPlacer
     meter: SpeedMeter
     cars: list[dict[str, Any]]
@@ -117,7 +117,7 @@ def _lanes(
 ) -> tuple[list[_Lane], dict[str, str]]:
     """All variants with both pairs, and why some are not possible here."""
     lanes, impossible = [], {}
-    outline = Outline.BODY if outlines else None
+    mask_extent = MaskExtent.BODY if outlines else None
     sizes = load_manifest("brnocompspeed")["sizes"]
     for pair in Pair:
         for variant in _ORDER:
@@ -125,7 +125,9 @@ def _lanes(
                 continue  # nothing of it depends on the pair
             name = str(variant) if variant is Variant.ORIG2D else f"{variant} {pair}"
             try:
-                view = View.create(variant, camera, road, pair, parse_size(sizes[str(pair)]), outline=outline)
+                view = MeasurementView.create(
+                    variant, camera, road, pair, parse_size(sizes[str(pair)]), mask_extent=mask_extent
+                )
             except RectificationError as err:
                 impossible[name] = str(err)
                 continue
@@ -200,7 +202,7 @@ def measure_session(
 
 def _offsets(camera: Camera, found: Detections, trips: Sequence[Trip], time_s: float) -> list[Any]:
     """Measured minus true point, metres along and across the road, of vehicles whose foot is in the picture."""
-    measured = camera.road_points(found.feet_px[found.whole], invalid="nan")
+    measured = camera.road_points(found.contact_points_px[found.contact_visible], invalid="nan")
     true = np.array([trip.near_point(time_s) for trip in trips])
     apart = measured[:, None] - true
     nearest = np.hypot(apart[..., 0], 2 * apart[..., 1]).argmin(axis=1) if len(measured) else np.empty(0, dtype=int)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from detector.speed.append_file import RecordFile
+from detector.speed.append_file import AppendFile
 from labelgen.errors import OutputError
 
 JSON = {"head": '{"cars": [\n', "separator": ",\n", "tail": "\n]}\n"}
@@ -17,7 +17,7 @@ JSON = {"head": '{"cars": [\n', "separator": ",\n", "tail": "\n]}\n"}
 
 def test_whole_after_every_record(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
-    with RecordFile(path, **JSON) as file:
+    with AppendFile(path, **JSON) as file:
         assert json.loads(path.read_text()) == {"cars": []}
         for number in range(5):
             file.add(json.dumps({"id": number, "text": "x" * number * 7}))
@@ -28,14 +28,14 @@ def test_whole_after_every_record(tmp_path: Path) -> None:
 def test_an_older_file_leaves_nothing_behind(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
     path.write_text("x" * 1000)
-    with RecordFile(path, head="a,b\n") as file:
+    with AppendFile(path, head="a,b\n") as file:
         file.add("1,2\n")
     assert path.read_text() == "a,b\n1,2\n"
 
 
 def test_what_cannot_be_made_is_an_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot write"):
-        RecordFile(tmp_path / "no" / "such" / "folder.csv")
+        AppendFile(tmp_path / "no" / "such" / "folder.csv")
 
 
 def test_a_full_disk_keeps_what_was_there(tmp_path: Path) -> None:
@@ -44,10 +44,10 @@ def test_a_full_disk_keeps_what_was_there(tmp_path: Path) -> None:
     code = f"""
 import json, resource
 from pathlib import Path
-from detector.speed.append_file import RecordFile
+from detector.speed.append_file import AppendFile
 from labelgen.errors import OutputError
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-with RecordFile(Path({str(path)!r}), **{JSON!r}) as file:
+with AppendFile(Path({str(path)!r}), **{JSON!r}) as file:
     try:
         for number in range(100):
             file.add(json.dumps({{"id": number, "text": "x" * 60}}))

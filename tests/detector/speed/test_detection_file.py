@@ -38,7 +38,7 @@ def test_what_is_written_is_read(tmp_path: Path, variant: Variant, pair: Pair) -
     for a, b in zip(after, before, strict=True):
         assert (a.frame, len(a)) == (b.frame, len(b))
         assert a.time_s == pytest.approx(b.time_s)
-        np.testing.assert_allclose(a.feet_px, b.feet_px, atol=2e-3)
+        np.testing.assert_allclose(a.contact_points_px, b.contact_points_px, atol=2e-3)
         np.testing.assert_allclose(a.vertices_px, b.vertices_px, atol=5e-2)
 
 

@@ -7,8 +7,8 @@ import pytest
 from speed_scenes import Drive, exact_detections, make_camera, make_road, make_view
 
 from detector.speed.mask_detections import MaskPlacer
-from detector.speed.measurement import Variant, View
-from detector.speed.meter import fragments
+from detector.speed.measurement import MeasurementView, Variant
+from detector.speed.meter import inside_larger_box
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask
 from labelgen.masks import InstanceMasks
@@ -26,8 +26,10 @@ def test_the_foot_is_the_middle_of_the_near_edge_on_the_road(variant: Variant, p
     view = make_view(variant, pair)
     for drive in (Drive(50, 30.0, 4.0), Drive(50, 38.0, -3.0), Drive(50, 22.0, 0.3)):
         found = exact_detections(view, [drive], 0, 0.0)
-        np.testing.assert_allclose(view.camera.road_points(found.feet_px), [[drive.start_m, drive.y_m]], atol=1e-6)
-        ends = view.camera.road_points(found.front_px[0])
+        np.testing.assert_allclose(
+            view.camera.road_points(found.contact_points_px), [[drive.start_m, drive.y_m]], atol=1e-6
+        )
+        ends = view.camera.road_points(found.front_edges_px[0])
         np.testing.assert_allclose(np.sort(ends[:, 1]), [drive.y_m - 0.9, drive.y_m + 0.9], atol=1e-6)
 
 
@@ -35,7 +37,7 @@ def test_the_foot_is_the_middle_of_the_near_edge_on_the_road(variant: Variant, p
 def test_2d_variants_are_right_along_the_road_and_wrong_across_it(pair: Pair) -> None:
     drive = Drive(50, 30.0, 4.0)
     found = exact_detections(make_view(Variant.TRANSFORM2D, pair), [drive], 0, 0.0)
-    [[x, y]] = make_camera().road_points(found.feet_px)
+    [[x, y]] = make_camera().road_points(found.contact_points_px)
     assert x == pytest.approx(30.0, abs=1e-6)
     assert 0.1 < abs(y - 4.0) < 2.0
 
@@ -62,9 +64,9 @@ def test_a_frame_that_cannot_be_rectified_as_a_whole() -> None:
     """VP1 inside the frame: the road can be rectified, the frame not."""
     camera = Camera([1000.0, 150.0], [-18000.0, 560.0], [960.5, 540.5], 0.02, image_wh=(1920, 1080))
     road = make_road(camera, 20.0, 60.0)
-    assert View.create(Variant.TRANSFORM3D, camera, road, Pair.VP1_VP2, (360, 640)).size_wh == (360, 640)
+    assert MeasurementView.create(Variant.TRANSFORM3D, camera, road, Pair.VP1_VP2, (360, 640)).size_wh == (360, 640)
     with pytest.raises(RectificationError, match="VP1"):
-        View.create(Variant.PREVIOUS3D, camera, road, Pair.VP1_VP2, (360, 640))
+        MeasurementView.create(Variant.PREVIOUS3D, camera, road, Pair.VP1_VP2, (360, 640))
 
 
 def cuboid_masks(drives: list[Drive]) -> InstanceMasks:
@@ -103,7 +105,7 @@ def test_masks_become_detections(variant: Variant, pair: Pair, across_m: float) 
     placer = MaskPlacer(view, make_road(view.camera), pair)
     found = placer.place(5, 0.2, cuboid_masks(drives))
     assert (found.frame, found.time_s, len(found), found.class_ids.tolist()) == (5, 0.2, 2, [1, 1])
-    ground = view.camera.road_points(found.feet_px)
+    ground = view.camera.road_points(found.contact_points_px)
     apart = np.abs(ground - [[24.0, 3.0], [38.0, -2.5]])
     assert (apart < [0.6 if variant is Variant.ORIG2D else 0.15, across_m]).all()
     assert not +placer.rejects
@@ -135,4 +137,4 @@ def test_parts_of_a_vehicle_are_no_vehicles() -> None:
     for variant, expected in ((Variant.TRANSFORM3D, True), (Variant.MASKRCNN3D, True), (Variant.ORIG2D, False)):
         found = exact_detections(make_view(variant), [lorry, part, *others], 0, 0.0)
         assert len(found) == 6
-        assert fragments(found).tolist() == [False, expected, False, False, False, False]
+        assert inside_larger_box(found).tolist() == [False, expected, False, False, False, False]

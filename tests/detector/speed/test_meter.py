@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from speed_scenes import CAR, Drive, exact_detections, make_camera, make_view
 
-from detector.speed.measurement import Variant, View
-from detector.speed.meter import MeasureRules, SpeedMeter, Vehicle, speed_and_error
+from detector.speed.measurement import MeasurementView, Variant
+from detector.speed.meter import MeasuredVehicle, MeasureRules, SpeedMeter, speed_and_error
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera, Pair
 
 
 def drive_past(
-    view: View, drives: list[Drive], times_s: list[float], *, fps: float | None = None, **options: object
-) -> list[Vehicle]:
+    view: MeasurementView, drives: list[Drive], times_s: list[float], *, fps: float | None = None, **options: object
+) -> list[MeasuredVehicle]:
     meter = SpeedMeter(view.camera, fps=fps, **options)  # type: ignore[arg-type]
-    out: list[Vehicle] = []
+    out: list[MeasuredVehicle] = []
     for number, time_s in enumerate(times_s):
         out += meter.add(exact_detections(view, drives, number, time_s))[1]
     return sorted(out + meter.finish(), key=lambda vehicle: vehicle.track_id)
@@ -152,7 +152,7 @@ def test_points_cut_off_do_not_count() -> None:
     assert vehicle.points_px[:, 1].max() < 1080 - 10
     height = view.size_wh[1]
     cut, _ = view.place(0, 0.0, [[300.0, 200.0, 340.0, height - 0.5], [300.0, 200.0, 340.0, height - 20.0]], [0.5, 0.5])
-    assert cut.whole.tolist() == [False, True]
+    assert cut.contact_visible.tolist() == [False, True]
 
 
 def test_speed_so_far_comes_with_the_sixth_point() -> None:
@@ -199,4 +199,4 @@ def without_size() -> Camera:
 @pytest.mark.parametrize(("camera", "message"), [(without_scale, "no scale"), (without_size, "size is not known")])
 def test_cameras_that_cannot_measure(camera: Callable[[], Camera], message: str) -> None:
     with pytest.raises(CalibrationError, match=message):
-        View(Variant.ORIG2D, camera(), None)
+        MeasurementView(Variant.ORIG2D, camera(), None)

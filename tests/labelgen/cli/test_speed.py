@@ -19,7 +19,7 @@ import pytest
 from speed_scenes import FRAME_WH, Drive, frame_times, make_camera, make_road, write_scene
 from stream_server import serve_stream
 
-from detector.speed.near_end import near_end_m
+from detector.speed.contact_point import contact_distance_m
 from labelgen.cli.main import main
 from labelgen.geometry import Camera
 
@@ -87,7 +87,7 @@ def test_outlines_of_vehicles_are_measured_at_their_near_ends(scene: Path, tmp_p
         cars = json.loads((tmp_path / folder / "road" / "system_transform3d.json").read_text())["cars"]
         points = np.array([[car["posX"][3], car["posY"][3]] for car in cars])
         ahead.append(camera.road_points(points)[:, 0])
-    np.testing.assert_allclose(ahead[1], near_end_m(ahead[0], camera.height_m), atol=0.02)
+    np.testing.assert_allclose(ahead[1], contact_distance_m(ahead[0], camera.height_m), atol=0.02)
     # A file of detections says which of the two it is.
     again = ("--from", f"detections:{tmp_path / 'vehicle' / 'road' / 'detections_transform3d.jsonl'}")
     assert run(scene / "road.mp4", *again, "--out", tmp_path / "again") == 0

@@ -24,14 +24,14 @@ from labelgen.geometry.homography import Array
 from labelgen.geometry.vehicle_bodies import common_bodies
 from labelgen.masks.background.source import WORKING_WIDTH
 
-__all__ = ["Outline", "near_end_m", "stand_at_near_end"]
+__all__ = ["MaskExtent", "contact_distance_m", "move_to_contact_point"]
 
 # Medians over nine rendered sessions, docs/speed-variants.md: how far before the near end background masks end, and by
 # which share of the frame's width too high: half a pixel of those on which they are made.
 _SHADE_BEHIND_M, _LOST_SHARE = 0.18, 0.5 / WORKING_WIDTH
 
 
-class Outline(Enum):
+class MaskExtent(Enum):
     """What outlines are of."""
 
     BODY = "body"
@@ -40,7 +40,7 @@ class Outline(Enum):
     """The body and the dark road under it: masks by a background model."""
 
 
-def near_end_m(seen_m: ArrayLike, height_m: float) -> Array:
+def contact_distance_m(seen_m: ArrayLike, height_m: float) -> Array:
     """Distances of near ends from those of the lowest lines.
 
     A point of the body s behind its end and z above the road is seen, from a height h, where the road is
@@ -62,14 +62,14 @@ def near_end_m(seen_m: ArrayLike, height_m: float) -> Array:
     return out
 
 
-def stand_at_near_end(camera: Camera, points_px: Array, outline: Outline = Outline.BODY) -> Array:
+def move_to_contact_point(camera: Camera, points_px: Array, outline: MaskExtent = MaskExtent.BODY) -> Array:
     """Points (N, 2) px on the lowest lines of outlines, moved along the road to the vehicles' near ends."""
-    with_shade = outline is Outline.BODY_AND_SHADE
+    with_shade = outline is MaskExtent.BODY_AND_SHADE
     lost = _LOST_SHARE * camera.image_wh[0] if with_shade and camera.image_wh else 0.0
     places = camera.road_points(points_px + np.array([0.0, lost]), invalid="nan")
     ahead = places[:, 0] > 0
     seen = places[ahead, 0]
-    places[ahead, 0] = seen - _SHADE_BEHIND_M if with_shade else near_end_m(seen, camera.height_m)
+    places[ahead, 0] = seen - _SHADE_BEHIND_M if with_shade else contact_distance_m(seen, camera.height_m)
     return np.where(ahead[:, None], camera.project(places), points_px)
 
 
