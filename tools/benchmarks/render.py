@@ -54,7 +54,7 @@ def measure(
     """Render `frames` frames that show `vehicles` vehicles each; with `faults` through a camera that has them all.
 
     Returns:
-        fps, ms per frame, ms per frame by stage, and ms once per vehicle for its skin and shadow.
+        fps, ms per frame, ms per frame by stage, and ms once per vehicle for its texture and shadow.
     """
     import numpy as np
 
@@ -69,10 +69,15 @@ def measure(
     rng = np.random.default_rng([seed, 1])
     scene = procedural_scene(rng, size_wh)
     light = make_light(Weather.DAY, rng)
-    background, still = draw_scene(scene, light, rng)
+    background, static_layer = draw_scene(scene, light, rng)
     trips = random_traffic(scene, 600.0, seed, per_minute=60)
     renderer = render.Renderer(
-        scene.camera, background, light, seed=seed, still=still, sensor=_FAULTY if faults else PLAIN
+        scene.camera,
+        background,
+        light,
+        seed=seed,
+        static_layer=static_layer,
+        sensor=_FAULTY if faults else PLAIN,
     )
     batches = _busy_moments(renderer, trips, scene, vehicles, frames)
     count = len(batches)
@@ -161,7 +166,7 @@ def main(
         f"{found['fps']:.1f} frames/s ({found['ms_per_frame']:.1f} ms per frame), {size}, {found['vehicles']} vehicles"
     )
     typer.echo(f"{found['vehicle_pixels_per_frame']} vehicle pixels per frame, {found['frames']} frames, one core")
-    typer.echo(f"{found['ms_per_vehicle']:.0f} ms once per vehicle for its skin and shadow, not counted above")
+    typer.echo(f"{found['ms_per_vehicle']:.0f} ms once per vehicle for its texture and shadow, not counted above")
     for name, ms in found["stages_ms"].items():
         typer.echo(f"{name:>20} {ms:7.2f} ms")
     if json_file is not None:

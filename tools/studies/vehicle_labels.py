@@ -40,7 +40,7 @@ from labelgen.synth.scene.road_image import draw_road
 from labelgen.synth.scene.scene import Scene, procedural_scene
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.vehicle.body_types import BODY_TYPES
-from labelgen.synth.vehicle.vehicle import Vehicle, make_vehicle
+from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle
 
 __all__ = ["HEIGHTS", "PAIRS", "Case", "main", "measure_scene", "page"]
 
@@ -149,7 +149,7 @@ def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[
 
 
 @lru_cache(maxsize=64)
-def _vehicle(kind: str, looks: int) -> Vehicle:
+def _vehicle(kind: str, looks: int) -> VehicleModel:
     return make_vehicle(kind, np.random.default_rng(looks))
 
 

@@ -112,8 +112,8 @@ def load_own_camera(
     sensor = fit_sensor(footage)
     light = fit_to_shadows(fit_to_road(make_light(weather, rng), footage.empty, road), shadows)
     vehicles = list(footage_parts(footage, road, shadows))
-    assert sensor.grain is not None
-    sensor = replace(sensor, grain=fit_to_panels(sensor.grain, vehicles))
+    assert sensor.noise_model is not None
+    sensor = replace(sensor, noise_model=fit_to_panels(sensor.noise_model, vehicles))
     real = tones_of(vehicles)
     if real is not None:
         light, sensor = _fit_to_vehicles(light, sensor, real, scene, shadows, footage, plates)
@@ -210,8 +210,8 @@ def _words(
     where = f"{height:.0f} degrees high, {aside:.0f} right of ahead" if shadows.sunny else "hidden"
     if shadows.sunny and shadows.sun is None:
         where += ", which is a guess: shadows do not tell; give --sun"
-    assert sensor.grain is not None
-    noise = sensor.grain.grey[len(sensor.grain.grey) // 2]
+    assert sensor.noise_model is not None
+    noise = sensor.noise_model.grey[len(sensor.noise_model.grey) // 2]
     return {
         "lanes": lanes,
         "picture moved": f"{footage.shake_px:.2f} px",

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from labelgen.synth.fitting.lighting import Part
-from labelgen.synth.sensor.noise import Grain
+from labelgen.synth.sensor.noise import NoiseModel
 
 __all__ = ["fit_to_panels", "panel_noise"]
 
@@ -49,21 +49,21 @@ def panel_noise(parts: Sequence[Part], levels: int) -> list[float]:
     return [float(np.percentile(f, _EVENEST_VEHICLES)) if len(f) >= _FEWEST else np.nan for f in found]
 
 
-def fit_to_panels(grain: Grain, parts: Sequence[Part]) -> Grain:
+def fit_to_panels(noise_model: NoiseModel, parts: Sequence[Part]) -> NoiseModel:
     """The noise with the share of it that even panels of a video's vehicles show.
 
     Args:
-        grain: of the video's road.
+        noise_model: of the video's road.
         parts: its vehicles.
     """
-    seen = np.array(panel_noise(parts, len(grain.grey)))
+    seen = np.array(panel_noise(parts, len(noise_model.grey)))
     known = np.flatnonzero(np.isfinite(seen))
     if not len(known):
-        return grain
+        return noise_model
     most = np.interp(np.arange(len(seen)), known, seen[known]) / _SEEN
     # Shape adds to what is seen and never takes away, and brightnesses that are near each other have much the same
     # noise: the calmest ones tell what there is at most in those beside them.
     apart = np.abs(np.subtract.outer(np.arange(len(seen)), np.arange(len(seen))))
     most = (most[None] * _PER_LEVEL**apart).min(axis=1)
-    shares = np.clip(most / np.maximum(grain.grey, 0.1), 0, 1)
-    return replace(grain, on_vehicles=tuple(shares.tolist()))
+    shares = np.clip(most / np.maximum(noise_model.grey, 0.1), 0, 1)
+    return replace(noise_model, on_vehicles=tuple(shares.tolist()))

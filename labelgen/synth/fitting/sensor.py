@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from labelgen.media.video_writer import VideoWriter
 from labelgen.synth.fitting.footage import CHANGED, Footage, usual_packet
 from labelgen.synth.sensor.compression_artifacts import BLOCKY_CODECS
-from labelgen.synth.sensor.noise import Grain
+from labelgen.synth.sensor.noise import NoiseModel
 from labelgen.synth.sensor.sensor import HALO_PX, Sensor
 
-__all__ = ["block_step_of", "edge_profile", "fit_edges", "fit_sensor", "measure_grain", "quality_of"]
+__all__ = ["block_step_of", "edge_profile", "fit_edges", "fit_sensor", "measure_noise", "quality_of"]
 
 _LEVELS = np.linspace(0, 255, 9)
 _FEWEST_PX = 400
@@ -44,7 +44,7 @@ def fit_sensor(footage: Footage) -> Sensor:
     Args:
         footage: of it.
     """
-    grain = measure_grain(footage.looks, footage.empty, footage.flat)
+    noise_model = measure_noise(footage.looks, footage.empty, footage.flat)
     greys = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for image in footage.raw[::8]]
     blur, sharpen = fit_edges(greys)
     smear = _smear(footage.raw[::8]) / footage.empty.shape[1]
@@ -55,11 +55,18 @@ def fit_sensor(footage: Footage) -> Sensor:
     if footage.packet_bytes is not None and footage.codec in BLOCKY_CODECS:
         step = block_step_of(footage.raw[:32], footage.fps, footage.packet_bytes)
     return Sensor(
-        sharpen=sharpen, smear=smear, crf=crf, arms=0.006, grain=grain, blur_px=blur, in_picture=True, block_step=step,
-    )  # fmt: skip
+        sharpen=sharpen,
+        smear=smear,
+        crf=crf,
+        arms=0.006,
+        noise_model=noise_model,
+        blur_px=blur,
+        in_picture=True,
+        block_step=step,
+    )
 
 
-def measure_grain(looks: NDArray[np.uint8], empty: NDArray[np.uint8], flat: NDArray[np.bool_]) -> Grain:
+def measure_noise(looks: NDArray[np.uint8], empty: NDArray[np.uint8], flat: NDArray[np.bool_]) -> NoiseModel:
     """The temporal noise of a video by brightness.
 
     Args:
@@ -90,12 +97,12 @@ def measure_grain(looks: NDArray[np.uint8], empty: NDArray[np.uint8], flat: NDAr
             together[k] += float((a * b).sum()), float((a * a + b * b).sum() / 2)
         levels.append(base[..., 0][quiet])
     if not levels:
-        return Grain((0.0,) * len(_LEVELS), (0.0,) * len(_LEVELS), 0.0, 0.0)
+        return NoiseModel((0.0,) * len(_LEVELS), (0.0,) * len(_LEVELS), 0.0, 0.0)
     level = np.concatenate(levels)
     spreads = [_by_level(level, np.concatenate(s)) for s in samples]
     likeness = together[:, 0] / np.maximum(together[:, 1], 1e-9)
     colour = np.sqrt((np.square(spreads[1]) + np.square(spreads[2])) / 2)
-    return Grain(
+    return NoiseModel(
         tuple(spreads[0]), tuple(colour.tolist()), _blur_of(float(likeness[0])), _blur_of(float(likeness[1:].mean()))
     )
 

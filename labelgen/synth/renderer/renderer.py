@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.renderer.vehicle_shadows import GroundShadow, ground_shadow, shadow_colours
-from labelgen.synth.scene.static_layer import NO_SHADE, Still
-from labelgen.synth.sensor.compression_artifacts import coarse_blocks
-from labelgen.synth.sensor.glints import Stars
+from labelgen.synth.scene.static_layer import NO_SHADE, StaticLayer
+from labelgen.synth.sensor.compression_artifacts import add_block_artifacts
+from labelgen.synth.sensor.glints import Glints
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Light
 from labelgen.synth.shading.rasterizer import darken, lay_over, shade, visible_triangles
 from labelgen.synth.vehicle.mesh import Mesh
-from labelgen.synth.vehicle.vehicle import Vehicle
+from labelgen.synth.vehicle.vehicle import VehicleModel
 
 __all__ = ["Drawn", "Placed", "Renderer", "covered_by", "painting_order"]
 
@@ -51,7 +51,7 @@ class Placed:
     """
 
     track_id: int
-    vehicle: Vehicle
+    vehicle: VehicleModel
     centre_xy: NDArray[np.float64]
     heading: int
     speed_ms: float
@@ -139,17 +139,17 @@ class Renderer:
         background: (H, W, 3) uint8 BGR, the empty road.
         light: sun, sky and sensor.
         seed: of the noise.
-        still: what stands in the background and may hide vehicles.
+        static_layer: what stands in the background and may hide vehicles.
         sensor: what the camera does to the whole frame.
     """
 
     def __init__(
         self, camera: Camera, background: NDArray[np.uint8], light: Light, *, seed: int,
-        still: Still | None = None, sensor: Sensor = PLAIN,
+        static_layer: StaticLayer | None = None, sensor: Sensor = PLAIN,
     ) -> None:  # fmt: skip
         self.sensor = sensor
-        self.still = still
-        self._shade = NO_SHADE if still is None else still.shade
+        self.static_layer = static_layer
+        self._shade = NO_SHADE if static_layer is None else static_layer.shade
         self.camera, self.background, self.light = camera, background, light
         self._road = sensor.unsharpened(background) if sensor.in_picture else background
         self._packed = light.packed()
@@ -158,10 +158,12 @@ class Renderer:
         self._rng = np.random.default_rng([seed, 77])
         height, width = background.shape[:2]
         self.size_wh = (width, height)
-        grain = sensor.grain
-        self._noise: NDArray[Any] = self._noise_tile() if grain is None else grain.tile(self.size_wh, self._rng)
+        noise_model = sensor.noise_model
+        self._noise: NDArray[Any] = (
+            self._noise_tile() if noise_model is None else noise_model.tile(self.size_wh, self._rng)
+        )
         arms = sensor.arms * width if light.sun.max() > _SUNNY else 0.0
-        self._stars = Stars(arms, np.random.default_rng([seed, 78]))
+        self._stars = Glints(arms, np.random.default_rng([seed, 78]))
 
     def _noise_tile(self) -> NDArray[np.uint8]:
         """A tile of noise around 128, larger than the frame so that every frame takes another part of it."""
@@ -248,7 +250,7 @@ class Renderer:
         if clear < 0.97:  # air fills shadows up
             left = cv2.addWeighted(left, clear, left, 0.0, 255 * (1 - clear))
         # The shadow lies on the road, behind what stands before it.
-        cover = _NOTHING if self.still is None else self.still.cover[y0:y1, x0:x1]
+        cover = _NOTHING if self.static_layer is None else self.static_layer.cover[y0:y1, x0:x1]
         darken(image[y0:y1, x0:x1], left, cover, self._shadow_colours)
 
     def _clear(self, placed: Placed) -> float:
@@ -277,7 +279,7 @@ class Renderer:
         screen = np.concatenate([pixels, depth[:, None]], axis=1)
         # A pixel belongs to the mask if the vehicle covers its centre.
         centres = visible_triangles(screen, mesh.triangles, size, origin, 1, True)
-        hidden = None if self.still is None else self.still.in_front(window, placed.bounds)
+        hidden = None if self.static_layer is None else self.static_layer.in_front(window, placed.bounds)
         if image is not None:
             self._paint(image, placed, screen, centres, window, hidden)
         mask = _body_mask(centres, screen, mesh, origin)
@@ -301,9 +303,11 @@ class Renderer:
         ids = centres if ss == 1 else visible_triangles(screen, mesh.triangles, size, origin, ss, True)
         pose = np.array([placed.heading, *placed.centre_xy, camera.height_m, self._clear(placed)])
         # Of nine samples five are lit: drawings twice as fine do not flicker yet.
-        skin, maps = placed.vehicle.skin.level(float(np.median(screen[:, 2])) / camera.focal / (2 if ss == 3 else 1))
+        texture, maps = placed.vehicle.texture.level(
+            float(np.median(screen[:, 2])) / camera.focal / (2 if ss == 3 else 1)
+        )
         layer: Any = shade(
-            ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, skin, placed.vehicle.paint,
+            ids, screen, mesh.triangles, mesh.vertices, mesh.normals, mesh.charts, maps, texture, placed.vehicle.paint,
             self._packed, self.light.around, pose, self._shade.sun, self._shade.grid, self.light.exposure,
             self.light.curve, origin, ss,
         )  # fmt: skip
@@ -341,15 +345,15 @@ class Renderer:
             band = slice(max(0, int(rows[0]) - _MARGIN), int(rows[-1]) + _MARGIN)
             coded = image[band]
             if self.sensor.block_step:
-                coded = coarse_blocks(coded, (coded != self._road[band]).any(axis=2), self.sensor.block_step)
+                coded = add_block_artifacts(coded, (coded != self._road[band]).any(axis=2), self.sensor.block_step)
             change: Any = cv2.subtract(coded, self._road[band], dtype=cv2.CV_32F)
             change = self.sensor.sharpened(change, self.size_wh[0])
             cv2.add(out[band], change, dst=out[band], dtype=cv2.CV_8U)
         return out
 
     def _add_noise(self, image: NDArray[np.uint8], number: int, drawn: Sequence[Drawn]) -> None:
-        if self.sensor.grain is not None:
-            self.sensor.grain.add(image, self._noise, number, covered_by(drawn, image.shape[:2]))
+        if self.sensor.noise_model is not None:
+            self.sensor.noise_model.add(image, self._noise, number, covered_by(drawn, image.shape[:2]))
             return
         width, height = self.size_wh
         rng = np.random.default_rng([number, 5])

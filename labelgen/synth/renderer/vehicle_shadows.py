@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.synth.shading.lighting import Light
-from labelgen.synth.vehicle.vehicle import Vehicle
+from labelgen.synth.vehicle.vehicle import VehicleModel
 
 __all__ = ["GroundShadow", "ground_shadow", "shadow_colours"]
 
@@ -38,7 +38,7 @@ class GroundShadow:
     to_body: NDArray[np.float64]
 
 
-def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
+def _hulls(vehicle: VehicleModel) -> list[NDArray[np.float64]]:
     """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less; mirrors."""
     points = _with_points_on_long_edges(vehicle)
     length = vehicle.size_lwh[0]
@@ -55,7 +55,7 @@ def _hulls(vehicle: Vehicle) -> list[NDArray[np.float64]]:
     return (pieces or [points]) + [mirror for mirror in mirrors if len(mirror) > 3]
 
 
-def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
+def _with_points_on_long_edges(vehicle: VehicleModel) -> NDArray[np.float64]:
     """The mesh's vertices, and points every few decimetres where edges are long, as those of a box body."""
     vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.body
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -67,7 +67,7 @@ def _with_points_on_long_edges(vehicle: Vehicle) -> NDArray[np.float64]:
     )
 
 
-def ground_shadow(vehicle: Vehicle, heading: int, light: Light) -> GroundShadow:
+def ground_shadow(vehicle: VehicleModel, heading: int, light: Light) -> GroundShadow:
     """Shadow map of a vehicle that drives towards +X (heading 1) or -X (heading -1)."""
     pieces = [p * np.array([heading, heading, 1.0]) for p in _hulls(vehicle)]
     sun, top = light.sun_direction, vehicle.size_lwh[2]

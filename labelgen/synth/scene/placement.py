@@ -13,9 +13,9 @@ import numpy as np
 
 from labelgen.synth.scene.props import ALONG, AT, gantry
 from labelgen.synth.scene.scene import Scene, carriageways
-from labelgen.synth.scene.triangles import Soup
+from labelgen.synth.scene.triangles import Triangles
 
-__all__ = ["KINDS", "Prop", "clutter"]
+__all__ = ["KINDS", "Prop", "place_props"]
 
 KINDS = (*ALONG, *AT, "gantry")
 """Every kind of thing that may stand beside the road."""
@@ -53,11 +53,11 @@ class Prop:
 
     Args:
         kind: one of `KINDS`.
-        soup: its triangles, road frame.
+        triangles: its triangles, road frame.
     """
 
     kind: str
-    soup: Soup
+    triangles: Triangles
 
 
 def _one_of(shares: dict[str, float], rng: np.random.Generator) -> str | None:
@@ -67,7 +67,7 @@ def _one_of(shares: dict[str, float], rng: np.random.Generator) -> str | None:
     return names[at] if at < len(names) else None
 
 
-def clutter(scene: Scene, shoulder_m: float, rng: np.random.Generator) -> list[Prop]:
+def place_props(scene: Scene, shoulder_m: float, rng: np.random.Generator) -> list[Prop]:
     """Everything that stands beside, between and over the carriageways.
 
     Args:
@@ -124,13 +124,13 @@ def _verge(
             yield Prop(kind, _clear_of_road(AT[kind](x, edge + side * y, side, rng), edge, side))
 
 
-def _clear_of_road(soup: Soup, edge: float, side: int) -> Soup:
+def _clear_of_road(triangles: Triangles, edge: float, side: int) -> Triangles:
     """The thing moved away from the road as far as it takes to keep the space above the lanes free."""
-    low = soup.corners[soup.corners[..., 2] < _FREE_M]
+    low = triangles.corners[triangles.corners[..., 2] < _FREE_M]
     if not len(low):
-        return soup
+        return triangles
     inside = edge + side * 0.3 - (low[:, 1].min() if side > 0 else low[:, 1].max())
-    return soup.moved((0.0, side * max(0.0, side * inside), 0.0))
+    return triangles.moved((0.0, side * max(0.0, side * inside), 0.0))
 
 
 def _median(low: float, high: float, rng: np.random.Generator) -> Iterator[Prop]:
@@ -141,10 +141,10 @@ def _median(low: float, high: float, rng: np.random.Generator) -> Iterator[Prop]
         kinds |= {"hedge": 0.25}
     kind = _one_of(kinds, rng)
     if kind == "hedge":
-        soup = ALONG[kind](*_stretch(rng), low + 0.3, 1, rng)
-        out = soup.corners[..., 1].max()
+        triangles = ALONG[kind](*_stretch(rng), low + 0.3, 1, rng)
+        out = triangles.corners[..., 1].max()
         if out < high - 0.2:
-            yield Prop(kind, soup)
+            yield Prop(kind, triangles)
     elif kind is not None:
         yield Prop(kind, ALONG[kind](*_stretch(rng), middle, 1, rng))
     if wide > 1.5 and rng.random() < 0.4:

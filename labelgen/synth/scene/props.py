@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from labelgen.synth.scene.triangles import Soup, blob_leaves, box, box_leaves, gather, plate, rod
+from labelgen.synth.scene.triangles import Triangles, blob_leaves, box, box_leaves, gather, plate, rod
 
 __all__ = ["ALONG", "AT", "gantry"]
 
@@ -45,7 +45,7 @@ def _leaf_m(x: float, y: float) -> float:
     return float(np.clip(0.006 * np.hypot(x, y), 0.09, 0.45))
 
 
-def guard_rail(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def guard_rail(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """A steel rail on posts, waved as rolled steel is."""
     tone = _grey(rng, 0.22, 0.42)
     parts = []
@@ -58,7 +58,7 @@ def guard_rail(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def concrete_barrier(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def concrete_barrier(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """Segments of concrete, wide at the foot."""
     del side
     parts = []
@@ -70,7 +70,7 @@ def concrete_barrier(x0: float, x1: float, y: float, side: int, rng: Rng) -> Sou
     return gather(parts)
 
 
-def railing(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def railing(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """A town's railing: posts, two or three rails, upright bars."""
     del side
     tone = ((0.62, 0.62, 0.60), (0.05, 0.12, 0.06), (0.30, 0.31, 0.32), (0.50, 0.38, 0.04))[int(rng.integers(4))]
@@ -87,7 +87,7 @@ def railing(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def post_fence(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def post_fence(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """Wooden posts with two to four planks, or wires."""
     del side
     tone = ((0.16, 0.11, 0.07), (0.22, 0.19, 0.15), (0.55, 0.54, 0.50))[int(rng.integers(3))]
@@ -100,7 +100,7 @@ def post_fence(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def mesh_fence(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def mesh_fence(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """Wire mesh between steel posts; the wires are drawn where they can be told apart."""
     del side
     tone = ((0.05, 0.13, 0.07), (0.33, 0.34, 0.35), (0.10, 0.10, 0.10))[int(rng.integers(3))]
@@ -115,7 +115,7 @@ def mesh_fence(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def wall(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def wall(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """A wall or noise barrier of panels that differ a little, some with a band of paint."""
     high, panel = rng.uniform(1.2, 4.5), rng.uniform(2.0, 5.0)
     tones: tuple[Tone, ...] = ((0.30, 0.29, 0.27), (0.25, 0.13, 0.09), (0.10, 0.16, 0.10), (0.42, 0.40, 0.36))
@@ -130,7 +130,7 @@ def wall(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def hedge(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def hedge(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """A hedge, trimmed or not, with gaps."""
     tone, high, wide = _green(rng), rng.uniform(0.7, 3.2), rng.uniform(0.6, 2.2)
     trimmed = rng.random() < 0.6
@@ -149,7 +149,7 @@ def hedge(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts) if parts else box((x0, y, 0), (x0 + 0.2, y + 0.2, 0.2), tone)
 
 
-def kerb(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
+def kerb(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
     """A kerb and the pavement behind it, in slabs."""
     stone, slab = _grey(rng, 0.26, 0.45), np.array(_grey(rng, 0.20, 0.38))
     wide = rng.uniform(1.5, 4.0)
@@ -166,7 +166,7 @@ def kerb(x0: float, x1: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def bush(x: float, y: float, side: int, rng: Rng) -> Soup:
+def bush(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A bush, or a clump of them."""
     del side
     parts = []
@@ -177,7 +177,7 @@ def bush(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def tree(x: float, y: float, side: int, rng: Rng) -> Soup:
+def tree(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """Trunk, a few boughs and a crown: round, tall or broad."""
     del side
     high = rng.uniform(4.0, 13.0)
@@ -195,7 +195,7 @@ def tree(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def sign_post(x: float, y: float, side: int, rng: Rng) -> Soup:
+def sign_post(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A traffic sign or a board on one or two posts."""
     wide, tall, low = rng.uniform(0.5, 2.8), rng.uniform(0.5, 1.8), rng.uniform(1.2, 2.6)
     legs = (0.0,) if wide < 1 else (-0.35 * wide, 0.35 * wide)
@@ -219,7 +219,7 @@ def sign_post(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def lamp_post(x: float, y: float, side: int, rng: Rng) -> Soup:
+def lamp_post(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A street lamp with its arm over the road."""
     high, reach, tone = rng.uniform(5.0, 11.0), rng.uniform(0.8, 3.0), _grey(rng, 0.12, 0.55)
     tip = (x, y - side * reach, high + 0.3)
@@ -232,7 +232,7 @@ def lamp_post(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def utility_pole(x: float, y: float, side: int, rng: Rng) -> Soup:
+def utility_pole(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A wooden or concrete pole with cross-bars and wires along the road."""
     high, tone = rng.uniform(6.5, 10.0), ((0.14, 0.10, 0.07), (0.33, 0.32, 0.30))[int(rng.integers(2))]
     parts = [rod((x, y, 0), (x, y, high), 0.13, tone)]
@@ -246,7 +246,7 @@ def utility_pole(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def bus_stop(x: float, y: float, side: int, rng: Rng) -> Soup:
+def bus_stop(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A shelter: posts, roof, a back of glass or advertising, a bench, a sign and who waits."""
     long, deep, tone = rng.uniform(3, 9), rng.uniform(1.2, 2.0), _grey(rng, 0.05, 0.5)
     back = y + side * deep
@@ -266,7 +266,7 @@ def bus_stop(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def pedestrian(x: float, y: float, side: int, rng: Rng) -> Soup:
+def pedestrian(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """Somebody who stands there."""
     del side
     high = rng.uniform(1.5, 1.9)
@@ -278,7 +278,7 @@ def pedestrian(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def cabinet(x: float, y: float, side: int, rng: Rng) -> Soup:
+def cabinet(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A switch box, a bin, an advertising column or a bench."""
     style = int(rng.integers(4))
     if style == 0:
@@ -295,7 +295,7 @@ def cabinet(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather([box((x, seat[0], 0.4), (x + 1.8, seat[1], 0.46), wood), lean])
 
 
-def bollards(x: float, y: float, side: int, rng: Rng) -> Soup:
+def bollards(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A row of bollards or delineator posts."""
     del side
     gap, high = rng.uniform(1.2, 6.0), rng.uniform(0.7, 1.1)
@@ -307,7 +307,7 @@ def bollards(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def building(x: float, y: float, side: int, rng: Rng) -> Soup:
+def building(x: float, y: float, side: int, rng: Rng) -> Triangles:
     """A house or block with rows of windows, a door or shop front, and a roof."""
     long, deep, storeys = rng.uniform(7, 26), rng.uniform(7, 12), int(rng.integers(1, 6))
     tones: tuple[Tone, ...] = ((0.42, 0.38, 0.32), (0.24, 0.12, 0.08), (0.34, 0.34, 0.35), (0.5, 0.48, 0.42))
@@ -344,7 +344,7 @@ def building(x: float, y: float, side: int, rng: Rng) -> Soup:
     return gather(parts)
 
 
-def gantry(x: float, low: float, high: float, rng: Rng) -> Soup:
+def gantry(x: float, low: float, high: float, rng: Rng) -> Triangles:
     """A beam over the whole road on two legs, with boards, cameras or lamps on it."""
     z, tone = rng.uniform(5.4, 6.6), _grey(rng, 0.15, 0.5)
     parts = [box((x - 0.15, y - 0.15, 0), (x + 0.15, y + 0.15, z + 0.5), tone) for y in (low, high)]
@@ -364,13 +364,13 @@ def gantry(x: float, low: float, high: float, rng: Rng) -> Soup:
     return gather(parts)
 
 
-ALONG: dict[str, Callable[[float, float, float, int, Rng], Soup]] = {
+ALONG: dict[str, Callable[[float, float, float, int, Rng], Triangles]] = {
     "guard rail": guard_rail, "concrete barrier": concrete_barrier, "railing": railing, "post fence": post_fence,
     "mesh fence": mesh_fence, "wall": wall, "hedge": hedge, "kerb": kerb,
 }  # fmt: skip
 """Things that run along the road: (x0, x1, y, side, rng) -> triangles."""
 
-AT: dict[str, Callable[[float, float, int, Rng], Soup]] = {
+AT: dict[str, Callable[[float, float, int, Rng], Triangles]] = {
     "bush": bush, "tree": tree, "sign post": sign_post, "lamp post": lamp_post, "utility pole": utility_pole,
     "bus stop": bus_stop, "pedestrian": pedestrian, "cabinet": cabinet, "bollards": bollards, "building": building,
 }  # fmt: skip

@@ -10,10 +10,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.scene.placement import clutter
+from labelgen.synth.scene.placement import place_props
 from labelgen.synth.scene.road_markings import Surface, draw_surface
 from labelgen.synth.scene.scene import Scene, carriageways
-from labelgen.synth.scene.static_layer import NO_SHADE, Shade, Still, draw_props, draw_shade, without_view_blockers
+from labelgen.synth.scene.static_layer import (
+    NO_SHADE,
+    Shade,
+    StaticLayer,
+    draw_props,
+    draw_shade,
+    without_view_blockers,
+)
 from labelgen.synth.shading.lighting import Light, Weather
 
 __all__ = ["draw_road", "draw_scene"]
@@ -104,17 +111,17 @@ def draw_road(scene: Scene, light: Light, rng: np.random.Generator) -> NDArray[n
     return _finished(_painted(scene, light, look, surface, NO_SHADE))
 
 
-def draw_scene(scene: Scene, light: Light, rng: np.random.Generator) -> tuple[NDArray[np.uint8], Still | None]:
+def draw_scene(scene: Scene, light: Light, rng: np.random.Generator) -> tuple[NDArray[np.uint8], StaticLayer | None]:
     """The empty road of a procedural scene with all that stands beside it.
 
     Returns:
         (H, W, 3) uint8 BGR, and what of it may hide vehicles; None when nothing stands there.
     """
     look, surface = _look(scene, rng), draw_surface(scene, rng)
-    props = without_view_blockers(scene, clutter(scene, look.shoulder, rng))
+    props = without_view_blockers(scene, place_props(scene, look.shoulder, rng))
     shade = draw_shade(scene, light, props)
-    image, still = draw_props(_painted(scene, light, look, surface, shade), scene.camera, light, props, shade)
-    return _finished(image), still
+    image, static_layer = draw_props(_painted(scene, light, look, surface, shade), scene.camera, light, props, shade)
+    return _finished(image), static_layer
 
 
 def _painted(scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade) -> Plane:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from labelgen.geometry import Camera
 from labelgen.synth.scene.placement import Prop
 from labelgen.synth.scene.scene import Scene, carriageways
-from labelgen.synth.scene.triangles import Soup, gather
+from labelgen.synth.scene.triangles import Triangles, gather
 from labelgen.synth.shading.lighting import Light
 from labelgen.synth.shading.rasterizer import visible_triangles
 
-__all__ = ["NO_SHADE", "Shade", "Still", "draw_props", "draw_shade", "without_view_blockers"]
+__all__ = ["NO_SHADE", "Shade", "StaticLayer", "draw_props", "draw_shade", "without_view_blockers"]
 
 _SS = 2
 _STRIP = 120
@@ -53,7 +53,7 @@ NO_SHADE = Shade(np.full((1, 1), 255, np.uint8), np.full((1, 1), 255, np.uint8),
 
 
 @dataclass(frozen=True, eq=False)
-class Still:
+class StaticLayer:
     """What stands in the picture.
 
     Args:
@@ -90,16 +90,16 @@ class Still:
         return np.where(front, cover, np.uint8(0)) if front.any() else None
 
 
-def _on_screen(camera: Camera, soup: Soup) -> NDArray[np.float64]:
+def _on_screen(camera: Camera, triangles: Triangles) -> NDArray[np.float64]:
     """(3 T, 3) frame px and depth of the corners; depth -1 where they cannot be drawn."""
-    points = soup.corners.reshape(-1, 3).astype(np.float64)
+    points = triangles.corners.reshape(-1, 3).astype(np.float64)
     depth = (points - np.array([0.0, 0.0, camera.height_m])) @ camera.axes[:, 2]
     pixels = np.nan_to_num(camera.project(points), nan=-1e6)
     return np.concatenate([pixels, np.where(depth > 0.5, depth, -1.0)[:, None]], axis=1)
 
 
-def _corner_numbers(soup: Soup) -> NDArray[np.int32]:
-    return np.arange(3 * len(soup), dtype=np.int32).reshape(-1, 3)
+def _corner_numbers(triangles: Triangles) -> NDArray[np.int32]:
+    return np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
 
 
 def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
@@ -109,11 +109,11 @@ def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
     camera = scene.camera
     height, width = scene.road_mask.shape
     quarter = (width // 4, height // 4)
-    soup = gather([p.soup for p in props])
-    owner = np.repeat(np.arange(len(props)), [len(p.soup) for p in props])
-    screen = _on_screen(camera, soup)
+    triangles = gather([p.triangles for p in props])
+    owner = np.repeat(np.arange(len(props)), [len(p.triangles) for p in props])
+    screen = _on_screen(camera, triangles)
     screen[:, :2] /= 4
-    ids = visible_triangles(screen, _corner_numbers(soup), quarter, (0.0, 0.0), 1, False)
+    ids = visible_triangles(screen, _corner_numbers(triangles), quarter, (0.0, 0.0), 1, False)
     road = cv2.resize(scene.road_mask.astype(np.uint8), quarter, interpolation=cv2.INTER_NEAREST) > 0
     hidden = np.bincount(owner[ids[road & (ids >= 0)]], minlength=len(props))
     limit = _HIDES_AT_MOST * max(int(np.count_nonzero(road)), 1)
@@ -128,8 +128,8 @@ def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
     corner = np.array([-5.0, min(w[0] for w in ways) - 14.0])
     far = np.array([145.0, max(w[1] for w in ways) + 14.0])
     size = [int(v) for v in ((far - corner) / _CELL).tolist()]
-    soup = gather([p.soup for p in props])
-    numbers, points = _corner_numbers(soup), soup.corners.reshape(-1, 3).astype(np.float64)
+    triangles = gather([p.triangles for p in props])
+    numbers, points = _corner_numbers(triangles), triangles.corners.reshape(-1, 3).astype(np.float64)
 
     def left(direction: NDArray[Any], sigma: float) -> NDArray[np.uint8]:
         foot = points[:, :2] - points[:, 2:] * (direction[:2] / direction[2])
@@ -144,28 +144,28 @@ def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
     return Shade(lit, (160 + 95 * (sky / 255.0)).astype(np.uint8), np.append(corner, 1 / _CELL))
 
 
-def _radiance(camera: Camera, light: Light, soup: Soup) -> NDArray[np.float32]:
+def _radiance(camera: Camera, light: Light, triangles: Triangles) -> NDArray[np.float32]:
     """(T, 3) of each triangle towards the camera."""
-    middle = soup.corners.mean(axis=1)
+    middle = triangles.corners.mean(axis=1)
     to_camera = np.array([0.0, 0.0, camera.height_m], dtype=np.float32) - middle
-    facing = (to_camera * soup.normals).sum(axis=1)
-    normals = np.where((soup.leafy | (facing >= 0))[:, None], soup.normals, -soup.normals)
+    facing = (to_camera * triangles.normals).sum(axis=1)
+    normals = np.where((triangles.leafy | (facing >= 0))[:, None], triangles.normals, -triangles.normals)
     cosine = normals @ light.sun_direction.astype(np.float32)
     # Leaves let a part of the light through.
-    direct = np.where(soup.leafy, 0.35 + 0.65 * cosine, cosine).clip(0, 1)[:, None]
+    direct = np.where(triangles.leafy, 0.35 + 0.65 * cosine, cosine).clip(0, 1)[:, None]
     up = (0.5 + 0.5 * normals[:, 2:]) * np.clip(0.6 + 0.2 * middle[:, 2:], 0, 1)
     bounce = (0.5 - 0.5 * normals[:, 2:]) * light.road_radiance
-    lit = soup.albedo * (direct * light.sun + up * light.ambient + 0.6 * bounce)
+    lit = triangles.albedo * (direct * light.sun + up * light.ambient + 0.6 * bounce)
     return np.asarray(light.through_air(lit, np.linalg.norm(to_camera, axis=1)[:, None]), dtype=np.float32)
 
 
-def _standing_at(camera: Camera, soup: Soup, ids: NDArray[np.int32], top: int) -> NDArray[np.float32]:
+def _standing_at(camera: Camera, triangles: Triangles, ids: NDArray[np.int32], top: int) -> NDArray[np.float32]:
     """(h, w, 2) metres: x and y of what pixels of the rows from `top` on show; 0 where they show nothing."""
     out = np.zeros((*ids.shape, 2), dtype=np.float32)
     row, column = np.nonzero(ids >= 0)
     if not len(row):
         return out
-    corners = soup.corners[ids[row, column]].astype(np.float64)
+    corners = triangles.corners[ids[row, column]].astype(np.float64)
     eye = np.array([0.0, 0.0, camera.height_m])
     at = np.stack(
         [column + 0.5 - camera.pp[0], row + top + 0.5 - camera.pp[1], np.full(len(row), camera.focal)], axis=1
@@ -182,7 +182,7 @@ def _standing_at(camera: Camera, soup: Soup, ids: NDArray[np.int32], top: int) -
 
 def draw_props(
     image: Any, camera: Camera, light: Light, props: Sequence[Prop], shade: Shade
-) -> tuple[NDArray[np.float32], Still | None]:
+) -> tuple[NDArray[np.float32], StaticLayer | None]:
     """Lay the things over a picture.
 
     Args:
@@ -198,9 +198,11 @@ def draw_props(
     if not props:
         return image, None
     height, width = image.shape[:2]
-    soup = gather([p.soup for p in props])
-    ids = visible_triangles(_on_screen(camera, soup), _corner_numbers(soup), (width, height), (0.0, 0.0), _SS, False)
-    tone = light.grey_levels(_radiance(camera, light, soup))[:, ::-1]
+    triangles = gather([p.triangles for p in props])
+    ids = visible_triangles(
+        _on_screen(camera, triangles), _corner_numbers(triangles), (width, height), (0.0, 0.0), _SS, False
+    )
+    tone = light.grey_levels(_radiance(camera, light, triangles))[:, ::-1]
     out, cover = image.copy(), np.empty((height, width), dtype=np.uint8)
     place = np.zeros((height, width, 2), dtype=np.float32)
     for top in range(0, height, _STRIP):
@@ -213,5 +215,5 @@ def draw_props(
         out[rows] = out[rows] * (1 - share[..., None]) + painted
         cover[rows] = (255 * share).astype(np.uint8)
         nearest = part.reshape(size[1], _SS, width, _SS).max(axis=(1, 3))
-        place[rows] = _standing_at(camera, soup, nearest, rows.start)
-    return out, Still(cover, place, shade)
+        place[rows] = _standing_at(camera, triangles, nearest, rows.start)
+    return out, StaticLayer(cover, place, shade)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.synth.scene.scene import Lane, Scene, road_to_image
-from labelgen.synth.vehicle.vehicle import Vehicle, body_kinds, make_vehicle, vehicle_size
+from labelgen.synth.vehicle.vehicle import VehicleModel, body_kinds, make_vehicle, vehicle_size
 
 __all__ = ["Trip", "near_path_x", "random_traffic"]
 
@@ -72,7 +72,7 @@ class Trip:
         k = int(np.clip(after - 1, 0, len(t) - 2))
         return float(t[k] + (x - knots[k]) * (t[k + 1] - t[k]) / (knots[k + 1] - knots[k]))
 
-    def vehicle(self, *, lamps: bool, plates: str | None = None) -> Vehicle:
+    def vehicle(self, *, lamps: bool, plates: str | None = None) -> VehicleModel:
         """The vehicle itself; always the same one. `plates`: see `make_vehicle`."""
         return make_vehicle(self.kind, np.random.default_rng(list(self.vehicle_seed)), lamps=lamps, plates=plates)
 

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Soup", "blob_leaves", "box", "box_leaves", "gather", "plate", "rod"]
+__all__ = ["Triangles", "blob_leaves", "box", "box_leaves", "gather", "plate", "rod"]
 
 Tone = Sequence[float]
 
 
 @dataclass(frozen=True, eq=False)
-class Soup:
+class Triangles:
     """Triangles without order.
 
     Args:
@@ -37,20 +37,20 @@ class Soup:
     def __len__(self) -> int:
         return len(self.corners)
 
-    def moved(self, offset: Sequence[float]) -> Soup:
+    def moved(self, offset: Sequence[float]) -> Triangles:
         """The same elsewhere."""
-        return Soup(self.corners + np.asarray(offset, dtype=np.float32), self.albedo, self.normals, self.leafy)
+        return Triangles(self.corners + np.asarray(offset, dtype=np.float32), self.albedo, self.normals, self.leafy)
 
 
-def _flat(corners: Any, tone: Tone | NDArray[Any]) -> Soup:
+def _flat(corners: Any, tone: Tone | NDArray[Any]) -> Triangles:
     corners = np.asarray(corners, dtype=np.float32).reshape(-1, 3, 3)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     albedo = np.broadcast_to(np.asarray(tone, dtype=np.float32), (len(corners), 3)).copy()
-    return Soup(corners, albedo, normals, np.zeros(len(corners), dtype=np.bool_))
+    return Triangles(corners, albedo, normals, np.zeros(len(corners), dtype=np.bool_))
 
 
-def plate(a: Sequence[float], b: Sequence[float], c: Sequence[float], d: Sequence[float], tone: Tone) -> Soup:
+def plate(a: Sequence[float], b: Sequence[float], c: Sequence[float], d: Sequence[float], tone: Tone) -> Triangles:
     """Flat quadrilateral, corners in order."""
     return _flat([[a, b, c], [a, c, d]], tone)
 
@@ -58,7 +58,7 @@ def plate(a: Sequence[float], b: Sequence[float], c: Sequence[float], d: Sequenc
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (1, 5, 7, 3), (0, 2, 6, 4))
 
 
-def box(low: Sequence[float], high: Sequence[float], tone: Tone, *, piece_m: float = 8.0) -> Soup:
+def box(low: Sequence[float], high: Sequence[float], tone: Tone, *, piece_m: float = 8.0) -> Triangles:
     """Axis-aligned box, cut along x into pieces of at most `piece_m`, so that each has a place of its own."""
     edges = np.linspace(low[0], high[0], max(1, int(np.ceil((high[0] - low[0]) / piece_m))) + 1)
     parts = []
@@ -68,7 +68,7 @@ def box(low: Sequence[float], high: Sequence[float], tone: Tone, *, piece_m: flo
     return _flat(np.concatenate(parts), tone)
 
 
-def rod(a: Sequence[float], b: Sequence[float], radius: float, tone: Tone, *, sides: int = 6) -> Soup:
+def rod(a: Sequence[float], b: Sequence[float], radius: float, tone: Tone, *, sides: int = 6) -> Triangles:
     """Round bar between two points."""
     start, end = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
@@ -83,19 +83,19 @@ def rod(a: Sequence[float], b: Sequence[float], radius: float, tone: Tone, *, si
 
 def _leaves(
     centres: NDArray[Any], normals: NDArray[Any], size: float, tones: NDArray[Any], rng: np.random.Generator
-) -> Soup:
+) -> Triangles:
     """One triangle per leaf, turned at random, lit as the crown's surface is there."""
     spread = rng.normal(0, size, (len(centres), 3, 3)).astype(np.float32)
     unit = normals + rng.normal(0, 0.35, normals.shape)
     unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
     corners = (centres[:, None] + spread).astype(np.float32)
     corners[..., 2] = np.maximum(corners[..., 2], 0.01)
-    return Soup(corners, tones.astype(np.float32), unit.astype(np.float32), np.ones(len(centres), dtype=np.bool_))
+    return Triangles(corners, tones.astype(np.float32), unit.astype(np.float32), np.ones(len(centres), dtype=np.bool_))
 
 
 def blob_leaves(
     centre: Sequence[float], radii: Sequence[float], leaf_m: float, tone: Tone, rng: np.random.Generator
-) -> Soup:
+) -> Triangles:
     """Leaves of an uneven ellipsoid: clumps over its surface, darker inside and below."""
     radius = np.asarray(radii, dtype=np.float64)
     clumps = int(rng.integers(14, 26))
@@ -119,7 +119,7 @@ def blob_leaves(
 
 def box_leaves(
     low: Sequence[float], high: Sequence[float], leaf_m: float, tone: Tone, rng: np.random.Generator
-) -> Soup:
+) -> Triangles:
     """Leaves of a trimmed hedge: over the top and the sides of a box."""
     a, b = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     size = b - a
@@ -139,9 +139,9 @@ def box_leaves(
     return _leaves(spot, normals, leaf_m, tones, rng)
 
 
-def gather(parts: Sequence[Soup]) -> Soup:
+def gather(parts: Sequence[Triangles]) -> Triangles:
     """All as one."""
-    return Soup(
+    return Triangles(
         np.concatenate([p.corners for p in parts]),
         np.concatenate([p.albedo for p in parts]),
         np.concatenate([p.normals for p in parts]),

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BLOCKY_CODECS", "coarse_blocks"]
+__all__ = ["BLOCKY_CODECS", "add_block_artifacts"]
 
 _MPEG = ("mpeg1video", "mpeg2video", "mpeg4", "msmpeg4v1", "msmpeg4v2", "msmpeg4v3")
 BLOCKY_CODECS = frozenset([*_MPEG, "h263", "h263p", "flv1", "wmv1", "wmv2"])
@@ -27,7 +27,7 @@ _COLOUR_COARSER = 2.0
 _STEPS = 1 + 0.4 * (_K[:, None] + _K)
 
 
-def coarse_blocks(image: NDArray[np.uint8], moving: NDArray[np.bool_], step: float) -> NDArray[np.uint8]:
+def add_block_artifacts(image: NDArray[np.uint8], moving: NDArray[np.bool_], step: float) -> NDArray[np.uint8]:
     """A frame with the blocks in which something moves coded coarsely.
 
     Args:

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Stars"]
+__all__ = ["Glints"]
 
 _MOST, _BRIGHT = 3, 253.0
 _SIZES = 4
 
 
-class Stars:
+class Glints:
     """Draws stars of one lens.
 
     Args:

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Grain"]
+__all__ = ["NoiseModel"]
 
 _SPREAD = 24.0
 """Standard deviation of a tile's stored noise; it is scaled down to what is wanted."""
@@ -18,7 +18,7 @@ _FIXED = 4096
 
 
 @dataclass(frozen=True)
-class Grain:
+class NoiseModel:
     """Standard deviations in grey levels at brightnesses spread evenly from 0 to 255.
 
     Args:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.sensor.noise import Grain
+from labelgen.synth.sensor.noise import NoiseModel
 
 __all__ = ["HALO_PX", "PLAIN", "Sensor", "make_sensor"]
 
@@ -59,10 +59,10 @@ class Sensor:
         start_s: time of day at the first frame.
         arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
         blur_px: sigma of the lens's blur.
-        grain: noise by brightness; None for the even noise of `Light`.
+        noise_model: noise by brightness; None for the even noise of `Light`.
         in_picture: whether the picture of the empty road comes from this camera and has its faults already.
-        block_step: how coarsely an old recorder rounds the blocks that vehicles drive through, see `coarse_blocks`; 0
-            for not at all. Only with `in_picture`.
+        block_step: how coarsely an old recorder rounds the blocks that vehicles drive through, see
+            `add_block_artifacts`; 0 for not at all. Only with `in_picture`.
     """
 
     lines: float = 1.0
@@ -74,7 +74,7 @@ class Sensor:
     start_s: float = 0.0
     arms: float = 0.006
     blur_px: float = 0.5
-    grain: Grain | None = None
+    noise_model: NoiseModel | None = None
     in_picture: bool = False
     block_step: float = 0.0
 

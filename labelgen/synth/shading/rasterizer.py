@@ -126,28 +126,28 @@ def _surface(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _on_skin(px: float, py: float, pz: float, m: int, chart_maps: _F, skin: _F) -> tuple[float, float]:
-    """Where a body-frame point lies on the skin, px, kept inside it."""
+def _on_texture(px: float, py: float, pz: float, m: int, chart_maps: _F, texture: _F) -> tuple[float, float]:
+    """Where a body-frame point lies on the texture, px, kept inside it."""
     u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
-    return min(max(u, 0.0), skin.shape[1] - 1.001), min(max(v, 0.0), skin.shape[0] - 1.001)
+    return min(max(u, 0.0), texture.shape[1] - 1.001), min(max(v, 0.0), texture.shape[0] - 1.001)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _texel(u: float, v: float, skin: _F) -> tuple[float, float, float, float, float]:
-    """Albedo and slopes at a place of the skin, between the four nearest texels."""
+def _texel(u: float, v: float, texture: _F) -> tuple[float, float, float, float, float]:
+    """Albedo and slopes at a place of the texture, between the four nearest texels."""
     u, v = max(u - 0.5, 0.0), max(v - 0.5, 0.0)
     iu, iv = int(u), int(v)
     fu, fv = u - iu, v - iv
     w00, w10, w01, w11 = (1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv
-    iu1, iv1 = min(iu + 1, skin.shape[1] - 1), min(iv + 1, skin.shape[0] - 1)
+    iu1, iv1 = min(iu + 1, texture.shape[1] - 1), min(iv + 1, texture.shape[0] - 1)
     red, green, blue, along, down = 0.0, 0.0, 0.0, -1.28, -1.28
     for tu, tv, share in ((iu, iv, w00), (iu1, iv, w10), (iu, iv1, w01), (iu1, iv1, w11)):
-        red += share * skin[tv, tu, 0]
-        green += share * skin[tv, tu, 1]
-        blue += share * skin[tv, tu, 2]
-        along += 0.01 * share * skin[tv, tu, 4]
-        down += 0.01 * share * skin[tv, tu, 5]
+        red += share * texture[tv, tu, 0]
+        green += share * texture[tv, tu, 1]
+        blue += share * texture[tv, tu, 2]
+        along += 0.01 * share * texture[tv, tu, 4]
+        down += 0.01 * share * texture[tv, tu, 5]
     return red * red / 65025.0, green * green / 65025.0, blue * blue / 65025.0, along, down
 
 
@@ -211,14 +211,14 @@ def _sunlit(px: float, py: float, pz: float, light: _F, pose: _F, sun_map: _F, g
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _light_on(
-    x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F,
-    paint: _F, light: _F, around: _F, pose: _F, sun_map: _F, grid: _F,
+    x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F,
+    texture: _F, paint: _F, light: _F, around: _F, pose: _F, sun_map: _F, grid: _F,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Radiance of triangle t as seen at frame px x, y; arguments as in `shade`."""
     px, py, pz, nx, ny, nz = _surface(x, y, t, screen, triangles, body, normals)
-    u, v = _on_skin(px, py, pz, charts[t], chart_maps, skin)
-    red, green, blue, along, down = _texel(u, v, skin)
-    material = skin[int(v), int(u), 3]
+    u, v = _on_texture(px, py, pz, charts[t], chart_maps, texture)
+    red, green, blue, along, down = _texel(u, v, texture)
+    material = texture[int(v), int(u), 3]
     if material == LIT:
         return red * light[18], green * light[18], blue * light[18]
     if abs(along) + abs(down) > 0.004:
@@ -272,7 +272,7 @@ def _light_on(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def shade(
-    ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, skin: _F, paint: _F,
+    ids: _F, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F, texture: _F, paint: _F,
     light: _F, around: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float],
     ss: int,
 ) -> _F:  # fmt: skip
@@ -283,9 +283,9 @@ def shade(
         screen, triangles: (V, 3) and (T, 3), as there.
         body: (V, 3) metres, vertices in the body frame (x ahead, y left, z up).
         normals: (T, 3, 3) unit normals at the corners, body frame.
-        charts: (T,) which row of `chart_maps` a triangle's skin is read through.
-        chart_maps: (C, 2, 4) body (x, y, z, 1) -> skin px.
-        skin: (h, w, 6) uint8, `Skin.image`.
+        charts: (T,) which row of `chart_maps` a triangle's texture is read through.
+        chart_maps: (C, 2, 4) body (x, y, z, 1) -> texture px.
+        texture: (h, w, 6) uint8, `Texture.image`.
         paint: (5,) metalness, gloss, height below which light is held back (m), unused, dirt.
         light: (23,) `Light.packed`.
         around: (S, S, 3) float32, `Light.around`.
@@ -317,8 +317,8 @@ def shade(
                     if charts[t] != last or (ss > 2 and (i + j) % 2 == 0):
                         x, y = origin[0] + col + (j + 0.5) / ss, origin[1] + r + (i + 0.5) / ss
                         red1, green1, blue1 = _light_on(
-                            x, y, t, screen, triangles, body, normals, charts, chart_maps, skin, paint, light, around,
-                            pose, sun_map, grid,
+                            x, y, t, screen, triangles, body, normals, charts, chart_maps, texture, paint, light,
+                            around, pose, sun_map, grid,
                         )  # fmt: skip
                         last = charts[t]
                     # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.

@@ -26,7 +26,7 @@ from labelgen.geometry import Camera, road_cuboids
 from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import Scene, procedural_scene
-from labelgen.synth.scene.static_layer import Still
+from labelgen.synth.scene.static_layer import StaticLayer
 from labelgen.synth.scene.traffic import Trip, random_traffic
 from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.session import place
@@ -83,9 +83,11 @@ def write_boxcars_tree(
     atlas: list[list[NDArray[np.uint8]]] = []
     with tqdm(total=vehicles, unit="vehicle", disable=not progress, desc="boxcars") as bar:
         for number, (name, count) in enumerate(zip(names, shares, strict=True)):
-            scene, light, still = _camera_scene(name, seed, number)
+            scene, light, static_layer = _camera_scene(name, seed, number)
             cameras[name] = _camera_entry(scene.camera)
-            for sample, crops in _samples(scene, light, still, count, seed, number, len(samples), out / "images"):
+            for sample, crops in _samples(
+                scene, light, static_layer, count, seed, number, len(samples), out / "images"
+            ):
                 samples.append(sample)
                 atlas.append(crops)
                 bar.update()
@@ -101,13 +103,13 @@ def write_boxcars_tree(
     return {"samples": len(samples), "instances": instances, "cameras": len(cameras), "root": str(out)}
 
 
-def _camera_scene(name: str, seed: int, number: int) -> tuple[Scene, Light, Still | None]:
+def _camera_scene(name: str, seed: int, number: int) -> tuple[Scene, Light, StaticLayer | None]:
     rng = np.random.default_rng([seed, 21, number])
     scene = procedural_scene(rng, _FRAME_WH, name=name, both_ways=True)
     weather = (Weather.DAY, Weather.OVERCAST, Weather.OVERCAST, Weather.RAIN)[number % 4]
     light = varied_light(make_light(weather, rng), rng)
-    background, still = draw_scene(scene, light, rng)
-    return replace(scene, background=background), light, still
+    background, static_layer = draw_scene(scene, light, rng)
+    return replace(scene, background=background), light, static_layer
 
 
 def _camera_entry(camera: Camera) -> dict[str, Any]:
@@ -133,7 +135,14 @@ def _views(scene: Scene, trip: Trip) -> list[_View]:
 
 
 def _samples(
-    scene: Scene, light: Light, still: Still | None, count: int, seed: int, number: int, first: int, images: Path
+    scene: Scene,
+    light: Light,
+    static_layer: StaticLayer | None,
+    count: int,
+    seed: int,
+    number: int,
+    first: int,
+    images: Path,
 ) -> Iterator[tuple[dict[str, Any], list[NDArray[np.uint8]]]]:
     """`count` vehicles of one camera, half of them driving away where there are such."""
     trips = random_traffic(scene, _WINDOW_S * max(1, count / 10), seed * 1009 + number, per_minute=14)
@@ -143,7 +152,7 @@ def _samples(
     ways = [[c for c in candidates if c[0].lane.heading == h] for h in (-1, 1)]
     chosen = [way[k] for k in range(max(map(len, ways))) for way in ways if k < len(way)][:count]
     assert scene.background is not None
-    renderer = Renderer(scene.camera, scene.background, light, seed=seed * 1009 + number, still=still)
+    renderer = Renderer(scene.camera, scene.background, light, seed=seed * 1009 + number, static_layer=static_layer)
     for index, (trip, views) in enumerate(chosen):
         vehicle_id = first + index
         instances, crops = [], []

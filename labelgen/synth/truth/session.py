@@ -19,12 +19,12 @@ from labelgen.progress import asked_to_stop
 from labelgen.synth.renderer.renderer import Drawn, Placed, Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import Scene, procedural_scene, visible_range
-from labelgen.synth.scene.static_layer import Still
+from labelgen.synth.scene.static_layer import StaticLayer
 from labelgen.synth.scene.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.sensor.sensor import PLAIN, Sensor, make_sensor
 from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.writer import TruthWriter
-from labelgen.synth.vehicle.vehicle import Vehicle, check_kinds, check_plates
+from labelgen.synth.vehicle.vehicle import VehicleModel, check_kinds, check_plates
 
 __all__ = ["SessionSummary", "place", "write_session"]
 
@@ -52,7 +52,7 @@ class SessionSummary:
     measured: dict[str, str]
 
 
-def place(trip: Trip, vehicle: Vehicle, time_s: float) -> Placed:
+def place(trip: Trip, vehicle: VehicleModel, time_s: float) -> Placed:
     """Where a vehicle is at a time."""
     near = trip.near_point(time_s)
     centre = near + np.array([trip.size_lwh[0] / 2, 0.0])
@@ -152,7 +152,7 @@ class _Setting:
 
     scene: Scene
     light: Light
-    still: Still | None
+    static_layer: StaticLayer | None
     sensor: Sensor
     surveyed: dict[str, Any] | None = None
     fps: float = 25.0
@@ -175,8 +175,8 @@ def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str
     scene = procedural_scene(rng, size_wh, heading=heading, name=name)
     light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.52, 0.30, 0.06, 0.12]))], rng)
     light = varied_light(light, rng)
-    background, still = draw_scene(scene, light, rng)
-    return _Setting(replace(scene, background=background), light, still, make_sensor(rng))
+    background, static_layer = draw_scene(scene, light, rng)
+    return _Setting(replace(scene, background=background), light, static_layer, make_sensor(rng))
 
 
 def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
@@ -248,12 +248,12 @@ def _render(
     assert scene.background is not None
     done, masks, complete = 0, 0, True
     spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
-    vehicles: dict[int, Vehicle] = {}
+    vehicles: dict[int, VehicleModel] = {}
     with ExitStack() as stack:
         truth = stack.enter_context(TruthWriter(folders["truth"], scene.camera, fps))
         truth.describe(trips)
         renderer = Renderer(
-            scene.camera, scene.background, light, seed=seed, still=setting.still, sensor=setting.sensor
+            scene.camera, scene.background, light, seed=seed, static_layer=setting.static_layer, sensor=setting.sensor
         )
         path = folders["dataset"] / "video.avi"
         writer = VideoWriter(path, fps, renderer.size_wh, setting.sensor.crf) if video else None

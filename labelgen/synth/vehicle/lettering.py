@@ -7,7 +7,7 @@ import numpy as np
 from labelgen.synth.shading.materials import PAINT
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart
-from labelgen.synth.vehicle.texture import Colour, Skin
+from labelgen.synth.vehicle.texture import Colour, Texture
 
 __all__ = ["TRADES", "company_name", "ink", "letter_cargo", "letter_van", "telephone"]
 
@@ -36,7 +36,7 @@ def ink(rng: np.random.Generator) -> Colour:
     return red, green, blue
 
 
-def letter_cargo(skin: Skin, shape: Shape, start: float, rng: np.random.Generator) -> None:
+def letter_cargo(texture: Texture, shape: Shape, start: float, rng: np.random.Generator) -> None:
     """A company's name and number, on the sides and the back."""
     assert shape.cargo is not None
     if rng.random() < 0.1:
@@ -46,42 +46,42 @@ def letter_cargo(skin: Skin, shape: Shape, start: float, rng: np.random.Generato
     colour, left = ink(rng), start + rng.uniform(0.08, 0.3) * long
     if rng.random() < 0.4:
         band = (start, low + 0.1), (shape.length, low + rng.uniform(0.25, 0.5) * tall)
-        skin.rectangle(Chart.SIDE, *band, ink(rng), PAINT)
+        texture.rectangle(Chart.SIDE, *band, ink(rng), PAINT)
     base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.28) * tall
     name = company_name(rng)
     size = min(size, 0.9 * (shape.length - 0.3 - left) / len(name))
-    skin.text(Chart.SIDE, (left, base), name, size, colour, PAINT)
+    texture.text(Chart.SIDE, (left, base), name, size, colour, PAINT)
     if rng.random() < 0.8:
         half = shape.width / 2
         if rng.random() < 0.5:
             name = f"{name} {rng.choice(TRADES)}"
         size = min(rng.uniform(0.16, 0.34), 1.7 * half / len(name))
         at, foot = -0.5 * size * len(name), low + rng.uniform(0.45, 0.75) * tall
-        skin.text(Chart.REAR, (max(at, -0.9 * half), foot), name, size, colour, PAINT)
+        texture.text(Chart.REAR, (max(at, -0.9 * half), foot), name, size, colour, PAINT)
         if rng.random() < 0.6:
-            skin.text(Chart.REAR, (-0.7 * half, foot - 0.5 * size - 0.12), telephone(rng), 0.09, colour, PAINT)
+            texture.text(Chart.REAR, (-0.7 * half, foot - 0.5 * size - 0.12), telephone(rng), 0.09, colour, PAINT)
 
 
-def letter_van(skin: Skin, shape: Shape, first: float, rng: np.random.Generator) -> None:
+def letter_van(texture: Texture, shape: Shape, first: float, rng: np.random.Generator) -> None:
     """A craftsman's name and number on a van's doors, and where there is room on its sides.
 
     Args:
-        skin: painted on.
+        texture: painted on.
         shape: of the van.
         first: metres behind its front, where its side windows end.
         rng: decides.
     """
     colour, name = ink(rng), company_name(rng)
     size = min(rng.uniform(0.2, 0.4), 0.7 / len(name))
-    skin.text(Chart.REAR, (-0.75, 0.85), name, size, colour, PAINT)
-    skin.text(Chart.REAR, (0.12, 0.80), telephone(rng), 0.07, colour, PAINT)
+    texture.text(Chart.REAR, (-0.75, 0.85), name, size, colour, PAINT)
+    texture.text(Chart.REAR, (0.12, 0.80), telephone(rng), 0.07, colour, PAINT)
     room = shape.length - 0.3 - first
     if room < _ROOM_M:
         return
     if rng.random() < 0.3:  # above the wheels' arches
         edge = [(first, 0.86), (shape.length, 0.86), (shape.length, shape.belt + 0.1)]
-        skin.polygon(Chart.SIDE, edge, ink(rng), PAINT)
+        texture.polygon(Chart.SIDE, edge, ink(rng), PAINT)
     size = min(rng.uniform(0.2, 0.4), 0.85 * room / len(name))
     base = shape.belt + rng.uniform(0.1, 0.35)
-    skin.text(Chart.SIDE, (first + 0.1 * room, base), name, size, colour, PAINT)
-    skin.text(Chart.SIDE, (first + 0.1 * room, base - 0.22), telephone(rng, _DIGITS), 0.1, colour, PAINT)
+    texture.text(Chart.SIDE, (first + 0.1 * room, base), name, size, colour, PAINT)
+    texture.text(Chart.SIDE, (first + 0.1 * room, base - 0.22), telephone(rng, _DIGITS), 0.1, colour, PAINT)

@@ -21,7 +21,7 @@ _CAP_STEPS = 8
 
 
 class Chart(IntEnum):
-    """Which drawing of the skin a triangle shows."""
+    """Which drawing of the texture a triangle shows."""
 
     SIDE = 0
     TOP = 1

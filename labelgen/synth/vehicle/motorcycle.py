@@ -7,7 +7,7 @@ import numpy as np
 from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, MATTE, PAINT, PLATE
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart, Mesh, box_mesh, join, tube_mesh, wheel_mesh
-from labelgen.synth.vehicle.texture import Colour, Skin
+from labelgen.synth.vehicle.texture import Colour, Texture
 
 __all__ = ["draw_motorcycle", "motorcycle_mesh"]
 
@@ -65,36 +65,36 @@ def _helmet(rng: np.random.Generator) -> Colour:
     return grey, grey, 1.03 * grey
 
 
-def draw_motorcycle(skin: Skin, shape: Shape, paint: Colour, rng: np.random.Generator, *, lamps: bool) -> None:
-    """Paint bike, rider, lamps and plate on an empty skin."""
+def draw_motorcycle(texture: Texture, shape: Shape, paint: Colour, rng: np.random.Generator, *, lamps: bool) -> None:
+    """Paint bike, rider, lamps and plate on an empty texture."""
     jacket, helmet = _clothes(rng), _helmet(rng)
     legs: Colour = ((0.012, 0.012, 0.014), (0.03, 0.045, 0.10), (0.10, 0.09, 0.07))[int(rng.integers(3))]
     h = shape.height / 1.66
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
-        skin.fill(chart, jacket, MATTE)
-    skin.fill(Chart.WHEEL, _DARK, MATTE)
-    skin.fill(Chart.DARK, _DARK, MATTE)
+        texture.fill(chart, jacket, MATTE)
+    texture.fill(Chart.WHEEL, _DARK, MATTE)
+    texture.fill(Chart.DARK, _DARK, MATTE)
     length, half = shape.length, shape.width / 2
-    skin.rectangle(Chart.SIDE, (0, 0), (length, 0.80 * h), _DARK, MATTE)
-    skin.rectangle(Chart.SIDE, (0.45, 0.60 * h), (1.25, 0.97 * h), paint, PAINT)
-    skin.rectangle(Chart.SIDE, (1.45, 0.70 * h), (length, 0.90 * h), paint, PAINT)
-    skin.rectangle(Chart.SIDE, (0.75, 0.20), (1.45, 0.74 * h), legs, MATTE)
-    skin.rectangle(Chart.SIDE, (0.8, 0.26), (1.5, 0.36), (0.4, 0.4, 0.4), CHROME)
-    skin.rectangle(Chart.SIDE, (0.6, 1.37 * h), (1.5, 1.7 * h), helmet, PAINT)
-    skin.rectangle(Chart.SIDE, (0.8, 1.44 * h), (0.98, 1.54 * h), _DARK, GLASS)
-    skin.rectangle(Chart.TOP, (0.0, -half), (0.62, half), paint, PAINT)
-    skin.rectangle(Chart.TOP, (1.5, -half), (length, half), _DARK, MATTE)
-    skin.circle(Chart.TOP, (length / 2 - 0.09, 0), 0.15, helmet, PAINT)
+    texture.rectangle(Chart.SIDE, (0, 0), (length, 0.80 * h), _DARK, MATTE)
+    texture.rectangle(Chart.SIDE, (0.45, 0.60 * h), (1.25, 0.97 * h), paint, PAINT)
+    texture.rectangle(Chart.SIDE, (1.45, 0.70 * h), (length, 0.90 * h), paint, PAINT)
+    texture.rectangle(Chart.SIDE, (0.75, 0.20), (1.45, 0.74 * h), legs, MATTE)
+    texture.rectangle(Chart.SIDE, (0.8, 0.26), (1.5, 0.36), (0.4, 0.4, 0.4), CHROME)
+    texture.rectangle(Chart.SIDE, (0.6, 1.37 * h), (1.5, 1.7 * h), helmet, PAINT)
+    texture.rectangle(Chart.SIDE, (0.8, 1.44 * h), (0.98, 1.54 * h), _DARK, GLASS)
+    texture.rectangle(Chart.TOP, (0.0, -half), (0.62, half), paint, PAINT)
+    texture.rectangle(Chart.TOP, (1.5, -half), (length, half), _DARK, MATTE)
+    texture.circle(Chart.TOP, (length / 2 - 0.09, 0), 0.15, helmet, PAINT)
     for chart in (Chart.FRONT, Chart.REAR):
-        skin.rectangle(chart, (-half, 0), (half, 0.85 * h), _DARK, MATTE)
-        skin.rectangle(chart, (-half, 0.2), (-0.12, 0.74 * h), legs, MATTE)
-        skin.rectangle(chart, (0.12, 0.2), (half, 0.74 * h), legs, MATTE)
-        skin.rectangle(chart, (-0.18, 0.6 * h), (0.18, 0.98 * h), paint, PAINT)
-        skin.rectangle(chart, (-0.3, 1.36 * h), (0.3, 1.7 * h), helmet, PAINT)
-    skin.rectangle(Chart.FRONT, (-0.1, 1.43 * h), (0.1, 1.54 * h), _DARK, GLASS)
-    skin.circle(Chart.FRONT, (0, 0.80 * h), 0.10, (0.9, 0.88, 0.8), LIT if lamps else LAMP)
-    skin.rectangle(Chart.REAR, (-0.08, 0.76 * h), (0.08, 0.83 * h), (0.17, 0.014, 0.016), LIT if lamps else LAMP)
-    skin.rectangle(Chart.REAR, (-0.1, 0.56), (0.1, 0.74), (0.55, 0.55, 0.52), PLATE)
+        texture.rectangle(chart, (-half, 0), (half, 0.85 * h), _DARK, MATTE)
+        texture.rectangle(chart, (-half, 0.2), (-0.12, 0.74 * h), legs, MATTE)
+        texture.rectangle(chart, (0.12, 0.2), (half, 0.74 * h), legs, MATTE)
+        texture.rectangle(chart, (-0.18, 0.6 * h), (0.18, 0.98 * h), paint, PAINT)
+        texture.rectangle(chart, (-0.3, 1.36 * h), (0.3, 1.7 * h), helmet, PAINT)
+    texture.rectangle(Chart.FRONT, (-0.1, 1.43 * h), (0.1, 1.54 * h), _DARK, GLASS)
+    texture.circle(Chart.FRONT, (0, 0.80 * h), 0.10, (0.9, 0.88, 0.8), LIT if lamps else LAMP)
+    texture.rectangle(Chart.REAR, (-0.08, 0.76 * h), (0.08, 0.83 * h), (0.17, 0.014, 0.016), LIT if lamps else LAMP)
+    texture.rectangle(Chart.REAR, (-0.1, 0.56), (0.1, 0.74), (0.55, 0.55, 0.52), PLATE)
     for axle in shape.axles:
-        skin.circle(Chart.WHEEL, (axle, shape.wheel), 0.7 * shape.wheel, (0.1, 0.1, 0.1), CHROME)
-        skin.circle(Chart.WHEEL, (axle, shape.wheel), 0.6 * shape.wheel, _DARK, MATTE)
+        texture.circle(Chart.WHEEL, (axle, shape.wheel), 0.7 * shape.wheel, (0.1, 0.1, 0.1), CHROME)
+        texture.circle(Chart.WHEEL, (axle, shape.wheel), 0.6 * shape.wheel, _DARK, MATTE)

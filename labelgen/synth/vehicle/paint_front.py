@@ -29,7 +29,7 @@ from labelgen.synth.vehicle.parts import (
     plate,
     veil,
 )
-from labelgen.synth.vehicle.texture import Colour, Skin, dim, rounded
+from labelgen.synth.vehicle.texture import Colour, Texture, dim, rounded
 
 __all__ = ["draw_front"]
 
@@ -57,128 +57,132 @@ class _Face:
         return self.foot + share * (self.top - self.foot)
 
 
-def draw_front(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool) -> None:
+def draw_front(
+    texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool
+) -> None:
     """Screen, bonnet edge, lamps, grille, bumper and plate."""
     half, design = shape.width / 2, style.front
     face = _Face(half * rng.uniform(0.97, 1.01), shape.clearance + 0.08, face_edge(shape)[1] + rng.uniform(-0.01, 0.02))
     sill = max(shape.clearance + SILL + style.cladding, face.z(design.lip))
     dam = sill + rng.uniform(0.0, 0.05)
     if style.dark_bumpers:
-        skin.rectangle(Chart.FRONT, (-half, 0), (half, face.z(0.56)), TRIM, MATTE)
-    _sheet_metal(skin, face, rng)
-    skin.polygon(
+        texture.rectangle(Chart.FRONT, (-half, 0), (half, face.z(0.56)), TRIM, MATTE)
+    _sheet_metal(texture, face, rng)
+    texture.polygon(
         Chart.FRONT,
         [(-half, 0), (half, 0), (half, sill), (0.8 * half, dam), (-0.8 * half, dam), (-half, sill)],
         TRIM,
         MATTE,
     )
-    _windscreen(skin, shape, style, rng)
-    _mouths(skin, face, design, paint, rng)
-    _head_lamps(skin, shape, face, design, float(np.mean(paint)), rng, lamps)
+    _windscreen(texture, shape, style, rng)
+    _mouths(texture, face, design, paint, rng)
+    _head_lamps(texture, shape, face, design, float(np.mean(paint)), rng, lamps)
     edge = face.at([(-0.62, 0.97), (-0.3, 0.995), (0.3, 0.995), (0.62, 0.97)])
-    skin.line(Chart.FRONT, edge, dim(paint, SEAM), PAINT, 0.012)
-    skin.shadow(Chart.FRONT, edge, 0.15)
-    plate(skin, Chart.FRONT, (0, face.z(design.plate + rng.uniform(-0.03, 0.03))), style.plate, rng)
+    texture.line(Chart.FRONT, edge, dim(paint, SEAM), PAINT, 0.012)
+    texture.shadow(Chart.FRONT, edge, 0.15)
+    plate(texture, Chart.FRONT, (0, face.z(design.plate + rng.uniform(-0.03, 0.03))), style.plate, rng)
 
 
-def _sheet_metal(skin: Skin, face: _Face, rng: np.random.Generator) -> None:
+def _sheet_metal(texture: Texture, face: _Face, rng: np.random.Generator) -> None:
     """Round the bumper and what stands above it from top to bottom; a ledge between, hollows at its corners."""
     ledge = rng.uniform(0.5, 0.62)
     bumper = face.at([(-1, 0), (1, 0), (1, ledge), (-1, ledge)])
-    skin.bow(Chart.FRONT, bumper, (0.0, rng.uniform(2.0, 3.6)), (0.0, 0.05))
+    texture.bow(Chart.FRONT, bumper, (0.0, rng.uniform(2.0, 3.6)), (0.0, 0.05))
     above = face.at([(-1, ledge), (1, ledge), (1, 1.05), (-1, 1.05)])
-    skin.bow(Chart.FRONT, above, (0.0, rng.uniform(0.6, 1.8)), (0.0, 0.05))
+    texture.bow(Chart.FRONT, above, (0.0, rng.uniform(0.6, 1.8)), (0.0, 0.05))
     rise = rng.uniform(0.0, 0.08)
     line = face.at([(-0.98, ledge + rise), (-0.5, ledge), (0.5, ledge), (0.98, ledge + rise)])
-    skin.emboss(Chart.FRONT, [*line, *face.at([(1, 0), (-1, 0)])], 0.022, soft=True)
-    skin.shadow(Chart.FRONT, line, rng.uniform(0.1, 0.3), 0.05)
-    skin.shadow(Chart.FRONT, face.at([(-1, 0.02), (1, 0.02)]), 0.45, 0.10)
+    texture.emboss(Chart.FRONT, [*line, *face.at([(1, 0), (-1, 0)])], 0.022, soft=True)
+    texture.shadow(Chart.FRONT, line, rng.uniform(0.1, 0.3), 0.05)
+    texture.shadow(Chart.FRONT, face.at([(-1, 0.02), (1, 0.02)]), 0.45, 0.10)
 
 
-def _windscreen(skin: Skin, shape: Shape, style: Style, rng: np.random.Generator) -> None:
+def _windscreen(texture: Texture, shape: Shape, style: Style, rng: np.random.Generator) -> None:
     half = shape.width / 2
     foot, head = shape.cowl[1], shape.roof_front[1] - 0.03
     low, high = cabin_edge(shape, half, foot) - 0.06, cabin_edge(shape, half, head) - 0.08
     ring = [(-low, foot), (low, foot), (high, head), (-high, head)]
-    inner = pane(skin, Chart.FRONT, ring, style.glass)
+    inner = pane(texture, Chart.FRONT, ring, style.glass)
     placed = on_screen([(0.95 * y, foot + 0.03) for y in (-low, low)], [(y, head - 0.03) for y in (-high, high)])
-    behind_windscreen(skin, Chart.FRONT, placed, style.glass, style.clear, rng)
-    gleam(skin, Chart.FRONT, inner, rng, rng.uniform(0.4, 0.9))
-    veil(skin, Chart.FRONT, inner, rng)
+    behind_windscreen(texture, Chart.FRONT, placed, style.glass, style.clear, rng)
+    gleam(texture, Chart.FRONT, inner, rng, rng.uniform(0.4, 0.9))
+    veil(texture, Chart.FRONT, inner, rng)
 
 
-def _mouths(skin: Skin, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
+def _mouths(texture: Texture, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
     """Grille, intakes, the bumper's corners, what is bright on them, and the badge."""
     # Light comes into the openings, and bars stand in them that hardly part from what lies behind.
     hollow = rng.uniform(0.012, 0.034)
     dark: Colour = (hollow, hollow, 1.04 * hollow)
     bright = dim(CHROME_TONE, rng.uniform(0.45, 1.1))
     rims, bars = rng.random() < 0.5, rng.uniform(1.6, 3.5)
-    strip = bool(design.hollow) and _corners(skin, face, design, dark, bright, rng)
+    strip = bool(design.hollow) and _corners(texture, face, design, dark, bright, rng)
     for opening in design.openings:
         rings = [face.at(opening.half, side) for side in (-1, 1)]
         if not opening.paired:
             rings = [np.concatenate([rings[1], rings[0][::-1]])]
         for ring in rings:
-            _opening(skin, ring, opening, dark, dim(dark, bars), bright if rims else dark)
+            _opening(texture, ring, opening, dark, dim(dark, bars), bright if rims else dark)
     if not strip:
-        _fog_lamps(skin, face, design)
+        _fog_lamps(texture, face, design)
     low, high = design.skid
     if high > low and rng.random() < 0.7:
         ring = face.at([(-0.46, low), (0.46, low), (0.40, high), (-0.40, high)])
-        skin.polygon(Chart.FRONT, ring, dim(_REFLECTOR, rng.uniform(0.3, 0.8)), LAMP)
+        texture.polygon(Chart.FRONT, ring, dim(_REFLECTOR, rng.uniform(0.3, 0.8)), LAMP)
     for lines, colour, material in ((design.painted, paint, PAINT), (design.bright, bright, LAMP)):
         for half, width in lines:
             for side in (-1, 1):
-                skin.line(Chart.FRONT, face.at(half, side), colour, material, width)
-    _badge(skin, face, design, bright, rng)
+                texture.line(Chart.FRONT, face.at(half, side), colour, material, width)
+    _badge(texture, face, design, bright, rng)
 
 
-def _opening(skin: Skin, ring: NDArray[np.float64], opening: Opening, dark: Colour, bars: Colour, rim: Colour) -> None:
+def _opening(
+    texture: Texture, ring: NDArray[np.float64], opening: Opening, dark: Colour, bars: Colour, rim: Colour
+) -> None:
     smooth = rounded(ring, 0.08)
     closed = np.concatenate([smooth, smooth[:1]])
-    skin.polygon(Chart.FRONT, smooth, dark, MATTE)
-    skin.emboss(Chart.FRONT, smooth, -0.02)
+    texture.polygon(Chart.FRONT, smooth, dark, MATTE)
+    texture.emboss(Chart.FRONT, smooth, -0.02)
     (left, low), (right, high) = ring.min(axis=0), ring.max(axis=0)
     inset = 0.12 * (right - left)
     if opening.inside in ("slats", "mesh"):
         for z in np.arange(low + 0.03, high - 0.015, 0.035 if opening.inside == "mesh" else 0.05).tolist():
-            skin.line(Chart.FRONT, [(left + inset, z), (right - inset, z)], bars, MATTE)
+            texture.line(Chart.FRONT, [(left + inset, z), (right - inset, z)], bars, MATTE)
     if opening.inside in ("fins", "mesh"):
         for y in np.arange(left + inset, right - inset + 0.01, 0.045).tolist():
-            skin.line(Chart.FRONT, [(y, low + 0.02), (y, high - 0.02)], bars, MATTE)
+            texture.line(Chart.FRONT, [(y, low + 0.02), (y, high - 0.02)], bars, MATTE)
     if opening.rim:
-        skin.line(Chart.FRONT, closed, rim, LAMP, opening.rim)
+        texture.line(Chart.FRONT, closed, rim, LAMP, opening.rim)
     # The frame's upper edge keeps the light away.
-    skin.shadow(Chart.FRONT, [(left + inset, high - 0.02), (right - inset, high - 0.02)], 0.5, 0.04)
+    texture.shadow(Chart.FRONT, [(left + inset, high - 0.02), (right - inset, high - 0.02)], 0.5, 0.04)
 
 
 def _corners(
-    skin: Skin, face: _Face, design: FrontDesign, dark: Colour, bright: Colour, rng: np.random.Generator
+    texture: Texture, face: _Face, design: FrontDesign, dark: Colour, bright: Colour, rng: np.random.Generator
 ) -> bool:
     """The bumper's corners: dark hollows, some with a bright frame; returns whether a strip stands for fog lamps."""
     kind = int(rng.choice(3, p=[0.6, 0.25, 0.15]))  # plain; with a bright frame; with a strip
     for side in (-1, 1):
         ring = rounded(face.at(design.hollow, side), 0.1)
-        skin.polygon(Chart.FRONT, ring, dark, MATTE)
-        skin.emboss(Chart.FRONT, ring, -0.015)
+        texture.polygon(Chart.FRONT, ring, dark, MATTE)
+        texture.emboss(Chart.FRONT, ring, -0.015)
         if kind == 1:
             under = ring[np.argsort(ring[:, 1])[: len(ring) // 2]]
             under = under[np.argsort(under[:, 0])]
-            skin.line(Chart.FRONT, under, bright, LAMP, 0.022)
+            texture.line(Chart.FRONT, under, bright, LAMP, 0.022)
         elif kind == 2:
-            skin.line(Chart.FRONT, face.at(design.hollow[1:3], side), dim(_REFLECTOR, 1.2), LAMP, 0.024)
+            texture.line(Chart.FRONT, face.at(design.hollow[1:3], side), dim(_REFLECTOR, 1.2), LAMP, 0.024)
     return kind == 2
 
 
-def _fog_lamps(skin: Skin, face: _Face, design: FrontDesign) -> None:
+def _fog_lamps(texture: Texture, face: _Face, design: FrontDesign) -> None:
     for side in (-1, 1):
         for y, t, radius in design.fog:
             centre = face.at([(y, t)], side)[0]
-            bowl(skin, Chart.FRONT, centre, radius, (dim(_REFLECTOR, 0.75), (0.10, 0.10, 0.11), _REFLECTOR))
+            bowl(texture, Chart.FRONT, centre, radius, (dim(_REFLECTOR, 0.75), (0.10, 0.10, 0.11), _REFLECTOR))
 
 
-def _badge(skin: Skin, face: _Face, design: FrontDesign, bright: Colour, rng: np.random.Generator) -> None:
+def _badge(texture: Texture, face: _Face, design: FrontDesign, bright: Colour, rng: np.random.Generator) -> None:
     t, size, form = design.badge
     z, size = face.z(t), size * rng.uniform(0.9, 1.1)
     if form == "none":
@@ -186,16 +190,16 @@ def _badge(skin: Skin, face: _Face, design: FrontDesign, bright: Colour, rng: np
     if form == "bolt":
         for share, colour in ((1.0, bright), (0.55, dim(bright, 0.12))):
             wide, tall = 0.75 * share * size, 1.1 * share * size
-            skin.polygon(Chart.FRONT, [(-wide, z), (0, z - tall), (wide, z), (0, z + tall)], colour, LAMP)
+            texture.polygon(Chart.FRONT, [(-wide, z), (0, z - tall), (wide, z), (0, z + tall)], colour, LAMP)
         return
-    skin.circle(Chart.FRONT, (0, z), size, bright, LAMP)
-    skin.circle(Chart.FRONT, (0, z), 0.72 * size, dim(bright, 0.15 if form == "ring" else 0.4), LAMP)
+    texture.circle(Chart.FRONT, (0, z), size, bright, LAMP)
+    texture.circle(Chart.FRONT, (0, z), 0.72 * size, dim(bright, 0.15 if form == "ring" else 0.4), LAMP)
     if form == "ring":
-        skin.line(Chart.FRONT, [(-0.7 * size, z), (0.7 * size, z)], bright, LAMP, 0.018)
+        texture.line(Chart.FRONT, [(-0.7 * size, z), (0.7 * size, z)], bright, LAMP, 0.018)
 
 
 def _head_lamps(
-    skin: Skin,
+    texture: Texture,
     shape: Shape,
     face: _Face,
     design: FrontDesign,
@@ -215,40 +219,40 @@ def _head_lamps(
         ring = face.at(design.lamp, side)
         smooth, middle = rounded(ring, 0.08), ring.mean(axis=0)
         closed = np.concatenate([smooth, smooth[:1]])
-        skin.polygon(Chart.FRONT, smooth, housing, LAMP)
+        texture.polygon(Chart.FRONT, smooth, housing, LAMP)
         if not black:  # its foot and the part beside the grille are darker
-            skin.fade(Chart.FRONT, smooth, dim(housing, 0.25), (0.0, 0.75))
+            texture.fade(Chart.FRONT, smooth, dim(housing, 0.25), (0.0, 0.75))
             inner = middle + np.array([0.75, 0.85]) * (smooth - middle) - np.array([side * 0.06 * face.half, 0.0])
-            skin.fade(Chart.FRONT, inner, (0.03, 0.03, 0.032), (0.35, 0.45))
+            texture.fade(Chart.FRONT, inner, (0.03, 0.03, 0.032), (0.35, 0.45))
         if design.amber:
             tone: Colour = (0.30, 0.115, 0.02) if not pale or not black else (0.16, 0.06, 0.012)
-            skin.polygon(Chart.FRONT, rounded(face.at(design.amber, side), 0.08), tone, LAMP)
+            texture.polygon(Chart.FRONT, rounded(face.at(design.amber, side), 0.08), tone, LAMP)
         for k, (y, t, radius) in enumerate(design.bowls):
             centre = face.at([(y, t)], side)[0]
             inside = dim(silver, 0.22 if black else 0.45)
-            bowl(skin, Chart.FRONT, centre, radius, (dim(silver, 0.7), inside, dim(silver, 1.2)))
+            bowl(texture, Chart.FRONT, centre, radius, (dim(silver, 0.7), inside, dim(silver, 1.2)))
             if lamps and k == 0:
-                skin.circle(Chart.FRONT, centre.tolist(), 1.05 * radius, GLOW, LIT)
+                texture.circle(Chart.FRONT, centre.tolist(), 1.05 * radius, GLOW, LIT)
         for strip in design.strips:
             lit: tuple[Colour, int] = (dim(GLOW, 0.75), LIT) if day_light else (dim(silver, 1.1), LAMP)
-            skin.line(Chart.FRONT, face.at(strip, side), *lit, width=0.016)
-        skin.fade(Chart.FRONT, smooth, SKY, (sky, 0.0))
-        skin.line(Chart.FRONT, closed, _GAP, LAMP, 0.012)
-        skin.bow(Chart.FRONT, smooth, (0.8, 1.0), (0.0, 0.30))
-        skin.emboss(Chart.FRONT, smooth, 0.006)
-        _wing_part(skin, shape, face, side, design, housing)
+            texture.line(Chart.FRONT, face.at(strip, side), *lit, width=0.016)
+        texture.fade(Chart.FRONT, smooth, SKY, (sky, 0.0))
+        texture.line(Chart.FRONT, closed, _GAP, LAMP, 0.012)
+        texture.bow(Chart.FRONT, smooth, (0.8, 1.0), (0.0, 0.30))
+        texture.emboss(Chart.FRONT, smooth, 0.006)
+        _wing_part(texture, shape, face, side, design, housing)
 
 
-def _wing_part(skin: Skin, shape: Shape, face: _Face, side: int, design: FrontDesign, housing: Colour) -> None:
+def _wing_part(texture: Texture, shape: Shape, face: _Face, side: int, design: FrontDesign, housing: Colour) -> None:
     """What of a head lamp lies on the wing, seen from above and from the side."""
     inner = min(y for y, t in design.lamp if t > 0.9)
     ys = np.array([0.5 * inner + 0.5, 0.99, 0.97, 0.90]) * face.half
     back = np.array([-0.01, -0.02, 0.6 * design.sweep, 0.35 * design.sweep])
     on_top = np.stack([END_M + setback(shape, END_M, ys) + back, side * ys], axis=1)
     smooth = rounded(on_top, 0.08)
-    skin.polygon(Chart.TOP, smooth, _GAP, LAMP)
+    texture.polygon(Chart.TOP, smooth, _GAP, LAMP)
     middle = on_top.mean(axis=0)
-    skin.polygon(Chart.TOP, middle + 0.8 * (smooth - middle), dim(housing, 0.8), LAMP)
+    texture.polygon(Chart.TOP, middle + 0.8 * (smooth - middle), dim(housing, 0.8), LAMP)
     if side > 0:
         start = float(setback(shape, 0.0, 0.9 * face.half))
         low, high = min(t for y, t in design.lamp if y > 0.85), max(t for _, t in design.lamp)
@@ -259,5 +263,5 @@ def _wing_part(skin: Skin, shape: Shape, face: _Face, side: int, design: FrontDe
             (tip, face.z(high) + 0.03),
             (start + 0.14, face.z(low) + 0.03),
         ]
-        skin.polygon(Chart.SIDE, ring, dim(housing, 0.9), LAMP)
-        skin.line(Chart.SIDE, [*ring, ring[0]], _GAP, LAMP, 0.012)
+        texture.polygon(Chart.SIDE, ring, dim(housing, 0.9), LAMP)
+        texture.line(Chart.SIDE, [*ring, ring[0]], _GAP, LAMP, 0.012)

@@ -1,4 +1,7 @@
-"""The skin of a car, van, bus or lorry: panels, windows, doors, roof; faces and freight have modules of their own."""
+"""Texture of a car, van, bus or lorry: side panels, windows, doors and roof.
+
+Fronts, rears and cargo are painted by modules of their own.
+"""
 
 from __future__ import annotations
 
@@ -31,16 +34,16 @@ from labelgen.synth.vehicle.parts import (
     sample_style,
     veil,
 )
-from labelgen.synth.vehicle.texture import Colour, Skin, dim
+from labelgen.synth.vehicle.texture import Colour, Texture, dim
 
-__all__ = ["draw_skin"]
+__all__ = ["draw_texture"]
 
 
-def draw_skin(
+def draw_texture(
     shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool,
     plates: str | None = None,
-) -> Skin:  # fmt: skip
-    """The skin of one vehicle.
+) -> Texture:  # fmt: skip
+    """The texture of one vehicle.
 
     Args:
         shape: its proportions.
@@ -50,68 +53,68 @@ def draw_skin(
         lamps: whether its lamps are on.
         plates: one of `PLATES`; any when None.
     """
-    skin = Skin(extent_lwh)
+    texture = Texture(extent_lwh)
     style = sample_style(shape, rng, plates)
     for chart in (Chart.SIDE, Chart.TOP, Chart.FRONT, Chart.REAR):
-        skin.fill(chart, paint, PAINT)
-    skin.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
+        texture.fill(chart, paint, PAINT)
+    texture.fill(Chart.DARK, (0.008, 0.008, 0.008), MATTE)
     heavy = shape.cargo is not None or shape.kind == "bus"
-    skin.fill(Chart.MIRROR, dim(paint, 0.85) if rng.random() < (0.15 if heavy else 0.85) else TRIM, PAINT)
-    windows_end = _draw_side(skin, shape, paint, style, rng)
-    _draw_top(skin, shape, paint, style, rng)
-    draw_wheels(skin, shape, rng)
+    texture.fill(Chart.MIRROR, dim(paint, 0.85) if rng.random() < (0.15 if heavy else 0.85) else TRIM, PAINT)
+    windows_end = _draw_side(texture, shape, paint, style, rng)
+    _draw_top(texture, shape, paint, style, rng)
+    draw_wheels(texture, shape, rng)
     if shape.kind == "bus":
-        draw_bus_front(skin, shape, paint, style, rng, lamps)
-        draw_bus_rear(skin, shape, paint, style, rng, lamps=lamps)
-        draw_bus(skin, shape, paint, style, rng)
+        draw_bus_front(texture, shape, paint, style, rng, lamps)
+        draw_bus_rear(texture, shape, paint, style, rng, lamps=lamps)
+        draw_bus(texture, shape, paint, style, rng)
     elif shape.cargo is not None:
-        draw_cab_front(skin, shape, paint, style, rng, lamps)
-        draw_cargo(skin, shape, cargo, style, rng, lamps=lamps)
+        draw_cab_front(texture, shape, paint, style, rng, lamps)
+        draw_cargo(texture, shape, cargo, style, rng, lamps=lamps)
     else:
-        draw_front(skin, shape, paint, style, rng, lamps)
-        draw_rear(skin, shape, paint, style, rng, lamps)
+        draw_front(texture, shape, paint, style, rng, lamps)
+        draw_rear(texture, shape, paint, style, rng, lamps)
         if shape.kind == "van" and rng.random() < 0.45:
-            letter_van(skin, shape, windows_end + 0.25, rng)
+            letter_van(texture, shape, windows_end + 0.25, rng)
         dusty = rng.uniform(0.05, 0.25) if shape.kind in ("van", "pickup") else rng.uniform(0.0, 0.08)
         for chart in (Chart.SIDE, Chart.REAR, Chart.FRONT, Chart.TOP):
-            skin.weather(chart, 0.0 if chart is Chart.TOP else dusty, 0.6 * dusty, rng)
-    return skin
+            texture.weather(chart, 0.0 if chart is Chart.TOP else dusty, 0.6 * dusty, rng)
+    return texture
 
 
-def _draw_side(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
+def _draw_side(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
     """Sheet metal, windows, doors and arches; returns where the windows end, metres behind the front."""
     end = shell_end(shape)
     waist = shape.belt - rng.uniform(0.16, 0.32)
     # Sheet metal: a crease along the waist, the wings' bulge, hollows in the doors.
-    skin.emboss(Chart.SIDE, [(0.5, 0), (end - 0.3, 0), (end - 0.3, waist + 0.06), (0.5, waist)], -0.022, soft=True)
+    texture.emboss(Chart.SIDE, [(0.5, 0), (end - 0.3, 0), (end - 0.3, waist + 0.06), (0.5, waist)], -0.022, soft=True)
     low_crease = shape.clearance + 0.22
-    skin.emboss(
+    texture.emboss(
         Chart.SIDE, [(0.9, 0), (end - 0.9, 0), (end - 0.9, low_crease + 0.06), (0.9, low_crease)], 0.012, soft=True
     )
-    skin.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
-    skin.bow(Chart.SIDE, [(0, 0), (end, 0), (end, shape.belt), (0, shape.belt)], (0.03, 0.5))
-    skin.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.65, 0.18)
+    texture.groove(Chart.SIDE, [(0.5, waist), (end - 0.2, waist + 0.06)], -0.006, 0.02)
+    texture.bow(Chart.SIDE, [(0, 0), (end, 0), (end, shape.belt), (0, shape.belt)], (0.03, 0.5))
+    texture.shadow(Chart.SIDE, [(0.2, shape.clearance), (end - 0.2, shape.clearance)], 0.65, 0.18)
     sill = shape.clearance + SILL + style.cladding
-    skin.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
+    texture.rectangle(Chart.SIDE, (0, 0), (shape.length, sill), TRIM, MATTE)
     if style.dark_bumpers:
         for low, high in ((0.0, 0.45), (end - 0.4, end)):
-            skin.rectangle(Chart.SIDE, (low, 0), (high, shape.nose - 0.28), TRIM, MATTE)
+            texture.rectangle(Chart.SIDE, (low, 0), (high, shape.nose - 0.28), TRIM, MATTE)
     if rng.random() < 0.2:
-        skin.rectangle(Chart.SIDE, (0.8, waist - 0.2), (end - 0.8, waist - 0.14), TRIM, MATTE)
-    windows_end = 0.0 if shape.kind == "bus" else _side_windows(skin, shape, paint, style, rng)
+        texture.rectangle(Chart.SIDE, (0.8, waist - 0.2), (end - 0.8, waist - 0.14), TRIM, MATTE)
+    windows_end = 0.0 if shape.kind == "bus" else _side_windows(texture, shape, paint, style, rng)
     arch = 1.09 * shape.wheel
     for axle in shape.axles:
         grow = 1.35 if style.cladding > 0.1 else 1.12
         ring = _disc((axle, shape.wheel), arch * grow)
         if style.cladding > 0.1:
-            skin.polygon(Chart.SIDE, _disc((axle, shape.wheel), arch * 1.18), TRIM, MATTE)
-        skin.emboss(Chart.SIDE, ring, 0.014)
-        skin.shadow(Chart.SIDE, _disc((axle, shape.wheel), arch), 0.6, 0.06)
-        skin.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.014, 0.014, 0.014), MATTE)
+            texture.polygon(Chart.SIDE, _disc((axle, shape.wheel), arch * 1.18), TRIM, MATTE)
+        texture.emboss(Chart.SIDE, ring, 0.014)
+        texture.shadow(Chart.SIDE, _disc((axle, shape.wheel), arch), 0.6, 0.06)
+        texture.circle(Chart.SIDE, (axle, shape.wheel), arch, (0.014, 0.014, 0.014), MATTE)
     for line in ([(0.52, shape.clearance + 0.1), (0.48, shape.nose - 0.26)], [(end - 0.42, sill), (end - 0.38, waist)]):
-        skin.line(Chart.SIDE, line, dim(paint, SEAM), PAINT)
+        texture.line(Chart.SIDE, line, dim(paint, SEAM), PAINT)
     if rng.random() < 0.3:
-        skin.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.69, waist + 0.05), (0.30, 0.15, 0.03), LAMP)
+        texture.rectangle(Chart.SIDE, (0.62, waist + 0.02), (0.69, waist + 0.05), (0.30, 0.15, 0.03), LAMP)
     return windows_end
 
 
@@ -120,7 +123,7 @@ def _disc(centre: tuple[float, float], radius: float) -> Any:
     return np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
 
 
-def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
+def _side_windows(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
     """Glass between pillars, and the doors below it; returns where the glass ends."""
     d, z = top_line(shape)
     sill, frame = shape.belt + 0.02, 0.075
@@ -139,36 +142,36 @@ def _side_windows(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np
     outline = np.concatenate([np.stack([d, z - frame], 1)[inside], [[d[inside][-1], sill], [d[inside][0], sill]]])
     if style.chrome:
         # As a bright tone: materials do not mix, and a mirroring line thinner than a pixel would be drawn in dashes.
-        skin.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), dim(CHROME_TONE, 0.55), LAMP, 0.03)
-    skin.polygon(Chart.SIDE, outline, BLACK, GLASS)
+        texture.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), dim(CHROME_TONE, 0.55), LAMP, 0.03)
+    texture.polygon(Chart.SIDE, outline, BLACK, GLASS)
     inner = outline + np.where(outline[:, 1:] > sill, [[0, -0.025]], [[0, 0.012]])
-    skin.polygon(Chart.SIDE, inner, style.rear_glass, GLASS)
+    texture.polygon(Chart.SIDE, inner, style.rear_glass, GLASS)
     low, high = float(d[inside][0]), float(d[inside][-1])
     pillars = np.linspace(low + 0.1, high, doors + 1)[1:-1].tolist()
     front_end = pillars[0] if pillars else high
     front = inner[(inner[:, 0] <= front_end)]
     if len(front) > 2:
         edge = [[front_end, float(front[-2 if len(front) > 2 else -1, 1])], [front_end, sill + 0.012]]
-        skin.polygon(Chart.SIDE, np.concatenate([front[:-1], edge, front[-1:]]), style.glass, GLASS)
+        texture.polygon(Chart.SIDE, np.concatenate([front[:-1], edge, front[-1:]]), style.glass, GLASS)
     within = [(low, sill + 0.012), (high, sill + 0.012), (high, sill + 0.09), (low, sill + 0.06)]
-    skin.polygon(Chart.SIDE, within, dim(style.glass, 2.2), GLASS)
+    texture.polygon(Chart.SIDE, within, dim(style.glass, 2.2), GLASS)
     seats = [(low, sill + 0.012), *((p + dp, sill + dz) for p in _seats(low, high) for dp, dz in _HEAD_REST)]
-    skin.polygon(Chart.SIDE, [*seats, (high, sill + 0.012)], dim(style.glass, 0.5), GLASS)
+    texture.polygon(Chart.SIDE, [*seats, (high, sill + 0.012)], dim(style.glass, 0.5), GLASS)
     # Each pane stands a little askew and mirrors another part of what is beside the road.
     for start, end in pairwise([low, *pillars, high]):
         ring = [(start, sill), (end, sill), (end, shape.height), (start, shape.height)]
         level = float(rng.uniform(0.06, 0.34))
-        skin.fade(Chart.SIDE, ring, (0.85 * level, level, 1.05 * level), (rng.uniform(0.3, 0.6), 0.08))
+        texture.fade(Chart.SIDE, ring, (0.85 * level, level, 1.05 * level), (rng.uniform(0.3, 0.6), 0.08))
     body_pillars = rng.random() < 0.5
     for p in pillars:
         tone = dim(paint, 0.9) if body_pillars else BLACK
-        skin.rectangle(Chart.SIDE, (p - 0.065, sill), (p + 0.065, shape.height), tone, PAINT)
-        skin.shadow(Chart.SIDE, [(p - 0.07, sill), (p - 0.07, shape.height)], 0.3, 0.03)
-    skin.line(Chart.SIDE, [(low, sill), (high, sill)], (0.03, 0.03, 0.032), PAINT, 0.03)
+        texture.rectangle(Chart.SIDE, (p - 0.065, sill), (p + 0.065, shape.height), tone, PAINT)
+        texture.shadow(Chart.SIDE, [(p - 0.07, sill), (p - 0.07, shape.height)], 0.3, 0.03)
+    texture.line(Chart.SIDE, [(low, sill), (high, sill)], (0.03, 0.03, 0.032), PAINT, 0.03)
     # The band of roof above the windows.
     band = np.concatenate([np.stack([d, z + 0.02], 1), np.stack([d, z - frame], 1)[::-1]])
-    skin.polygon(Chart.SIDE, band, paint, PAINT)
-    _doors(skin, shape, paint, (low, high), pillars, rng)
+    texture.polygon(Chart.SIDE, band, paint, PAINT)
+    _doors(texture, shape, paint, (low, high), pillars, rng)
     return high
 
 
@@ -181,7 +184,12 @@ def _seats(low: float, high: float) -> list[float]:
 
 
 def _doors(
-    skin: Skin, shape: Shape, paint: Colour, span: tuple[float, float], pillars: list[float], rng: np.random.Generator
+    texture: Texture,
+    shape: Shape,
+    paint: Colour,
+    span: tuple[float, float],
+    pillars: list[float],
+    rng: np.random.Generator,
 ) -> None:
     low, high = span
     sill, foot, seam = shape.belt + 0.02, shape.clearance + 0.16, dim(paint, SEAM)
@@ -189,100 +197,102 @@ def _doors(
     for k, p in enumerate(gaps):
         bend = -0.12 if k == len(gaps) - 1 and shape.kind != "van" else 0.0
         line = [(p, sill), (p, sill - 0.35), (p + bend, foot)]
-        skin.line(Chart.SIDE, line, seam, PAINT, 0.012)
-        skin.groove(Chart.SIDE, line)
-        skin.shadow(Chart.SIDE, line, 0.15, 0.04)
-    skin.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT, 0.012)
-    skin.groove(Chart.SIDE, [(low, foot), (high, foot)])
+        texture.line(Chart.SIDE, line, seam, PAINT, 0.012)
+        texture.groove(Chart.SIDE, line)
+        texture.shadow(Chart.SIDE, line, 0.15, 0.04)
+    texture.line(Chart.SIDE, [(low, foot), (high, foot)], seam, PAINT, 0.012)
+    texture.groove(Chart.SIDE, [(low, foot), (high, foot)])
     chrome = rng.random() < 0.1
     for p in [*pillars[:2], high - 0.1]:
         handle: tuple[Colour, int] = (dim(CHROME_TONE, 0.6), LAMP) if chrome else (dim(paint, 0.75), PAINT)
-        skin.rectangle(Chart.SIDE, (p - 0.24, shape.belt - 0.13), (p - 0.07, shape.belt - 0.09), *handle)
+        texture.rectangle(Chart.SIDE, (p - 0.24, shape.belt - 0.13), (p - 0.07, shape.belt - 0.09), *handle)
         ring = [(p - 0.25, shape.belt - 0.14), (p - 0.06, shape.belt - 0.14), (p - 0.06, shape.belt - 0.08)]
-        skin.emboss(Chart.SIDE, [*ring, (p - 0.25, shape.belt - 0.08)], 0.012)
+        texture.emboss(Chart.SIDE, [*ring, (p - 0.25, shape.belt - 0.08)], 0.012)
     if shape.kind == "van":
         rail = [(high, shape.belt - 0.25), (min(high + 1.6, shape.length - 0.3), shape.belt - 0.25)]
-        skin.line(Chart.SIDE, rail, seam, PAINT, 0.03)
-        skin.groove(Chart.SIDE, rail)
+        texture.line(Chart.SIDE, rail, seam, PAINT, 0.03)
+        texture.groove(Chart.SIDE, rail)
         for p in np.arange(high + 1.3, shape.length - 0.3, 1.1).tolist():
-            skin.groove(Chart.SIDE, [(p, foot), (p, shape.height - 0.2)])
+            texture.groove(Chart.SIDE, [(p, foot), (p, shape.height - 0.2)])
     else:
         flap = [(high + 0.1, shape.belt - 0.32), (high + 0.28, shape.belt - 0.32), (high + 0.28, shape.belt - 0.15)]
-        skin.groove(Chart.SIDE, [*flap, (high + 0.1, shape.belt - 0.15), flap[0]])
+        texture.groove(Chart.SIDE, [*flap, (high + 0.1, shape.belt - 0.15), flap[0]])
 
 
-def _draw_top(skin: Skin, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
+def _draw_top(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
     half = shape.width / 2
     seam = dim(paint, SEAM)
     roof = (shape.roof_front[0] + 0.12, shape.roof_rear[0] - 0.1)
     edge = cabin_edge(shape, half, shape.height) - 0.12
     if style.dark_roof:
-        skin.rectangle(Chart.TOP, (shape.roof_front[0] - 0.05, -half), (shape.roof_rear[0] + 0.05, half), BLACK, PAINT)
+        texture.rectangle(
+            Chart.TOP, (shape.roof_front[0] - 0.05, -half), (shape.roof_rear[0] + 0.05, half), BLACK, PAINT
+        )
     # A roof is bowed across and a little along.
     crown = [(roof[0], -edge), (roof[1], -edge), (roof[1], edge), (roof[0], edge)]
     if shape.kind not in ("van", "bus") and shape.cargo is None:
-        skin.bow(Chart.TOP, crown, (0.03, rng.uniform(0.02, 0.12)))
-    ring, placed = _top_pane(skin, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
-    behind_windscreen(skin, Chart.TOP, placed, style.glass, style.clear, rng)
-    gleam(skin, Chart.TOP, ring, rng)
-    veil(skin, Chart.TOP, ring, rng)
+        texture.bow(Chart.TOP, crown, (0.03, rng.uniform(0.02, 0.12)))
+    ring, placed = _top_pane(texture, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
+    behind_windscreen(texture, Chart.TOP, placed, style.glass, style.clear, rng)
+    gleam(texture, Chart.TOP, ring, rng)
+    veil(texture, Chart.TOP, ring, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
-        ring, placed = _top_pane(skin, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
-        behind_rear_screen(skin, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
-        gleam(skin, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
-        skin.line(Chart.TOP, ring[: len(ring) // 2], BLACK, GLASS, 0.05)
+        ring, placed = _top_pane(texture, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
+        behind_rear_screen(texture, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
+        gleam(texture, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
+        texture.line(Chart.TOP, ring[: len(ring) // 2], BLACK, GLASS, 0.05)
     if shape.cowl[0] > 0.6:
-        _bonnet(skin, shape, half, seam, rng)
+        _bonnet(texture, shape, half, seam, rng)
     sunroof = rng.random()
     if style.rails:
         rail = ((0.03, 0.03, 0.031), MATTE) if style.rails == 1 else (dim(CHROME_TONE, 0.5), LAMP)
         for y in (edge, -edge):
-            skin.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.02)
-            skin.shadow(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], 0.2, 0.06)
+            texture.line(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], *rail, width=0.02)
+            texture.shadow(Chart.TOP, [(roof[0] + 0.2, y), (roof[1], y)], 0.2, 0.06)
     elif shape.kind != "bus" and shape.cargo is None:
         for y in (edge, -edge):
             tone = BLACK if style.dark_roof else dim(paint, 0.75)
-            skin.line(Chart.TOP, [(roof[0], y), (roof[1], y)], tone, PAINT)
-            skin.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
+            texture.line(Chart.TOP, [(roof[0], y), (roof[1], y)], tone, PAINT)
+            texture.groove(Chart.TOP, [(roof[0], y), (roof[1], y)])
     if sunroof < 0.12 and shape.kind not in ("van", "bus") and shape.cargo is None:
         long = 0.75 if sunroof < 0.09 else roof[1] - roof[0] - 0.3
         long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
-        gleam(skin, Chart.TOP, pane(skin, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)
+        gleam(texture, Chart.TOP, pane(texture, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)
     if shape.kind == "van":
         for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
-            skin.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.006, soft=True)
+            texture.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.006, soft=True)
     if rng.random() < 0.5 and shape.cargo is None and shape.aerial is None:
         d = roof[1] - 0.05
-        skin.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
+        texture.polygon(Chart.TOP, [(d, -0.03), (d + 0.16, -0.015), (d + 0.16, 0.015), (d, 0.03)], BLACK, PAINT)
     if shape.bed is not None:
-        _bed(skin, shape, rng)
+        _bed(texture, shape, rng)
 
 
-def _bed(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
+def _bed(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
     """A pickup's load bed: a dark cover, or a floor that lies in the shadow of its sides, with things on it."""
     assert shape.bed is not None
     half, start, end = 0.86 * shape.width / 2, shape.bed[0], shape.length - 0.10
     ring = [(start, -half), (end, -half), (end, half), (start, half)]
     if rng.random() < 0.5:
-        skin.polygon(Chart.TOP, ring, (0.016, 0.016, 0.017), PAINT)
+        texture.polygon(Chart.TOP, ring, (0.016, 0.016, 0.017), PAINT)
         for d in np.linspace(start, end, 4)[1:-1].tolist():
-            skin.groove(Chart.TOP, [(d, -half), (d, half)], 0.006)
+            texture.groove(Chart.TOP, [(d, -half), (d, half)], 0.006)
     else:
         level = rng.uniform(0.03, 0.12)
-        skin.polygon(Chart.TOP, ring, (level, level, level), MATTE)
+        texture.polygon(Chart.TOP, ring, (level, level, level), MATTE)
         for _ in range(int(rng.integers(0, 9))):
             d, y = rng.uniform(start, end - 0.3), rng.uniform(-half, half)
             long, wide = rng.uniform(0.15, 0.7), rng.uniform(0.1, 0.4)
             tone = np.clip(rng.uniform(0.02, 0.45) * rng.normal(1, 0.15, 3), 0, 1).tolist()
             box = np.clip([(d, y), (d + long, y), (d + long, y + wide), (d, y + wide)], [start, -half], [end, half])
-            skin.polygon(Chart.TOP, box, (tone[0], tone[1], tone[2]), MATTE)
-        skin.fade(Chart.TOP, ring, BLACK, (0.75, 0.2), level=True)
-    skin.shadow(Chart.TOP, [*ring, ring[0]], 0.5, 0.08)
+            texture.polygon(Chart.TOP, box, (tone[0], tone[1], tone[2]), MATTE)
+        texture.fade(Chart.TOP, ring, BLACK, (0.75, 0.2), level=True)
+    texture.shadow(Chart.TOP, [*ring, ring[0]], 0.5, 0.08)
 
 
 def _top_pane(
-    skin: Skin, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
+    texture: Texture, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
 ) -> tuple[Any, OnScreen]:
     """A wind or rear screen as far as it lies flat enough to be seen from above.
 
@@ -298,14 +308,14 @@ def _top_pane(
     lower = np.stack([d0 + setback(shape, d0, y0), y0], axis=1)
     upper = np.stack([d1 + setback(shape, d1, y1), y1], axis=1)
     ring = np.concatenate([lower, upper[::-1]])
-    pane(skin, Chart.TOP, ring, glass, rim=0.93)
+    pane(texture, Chart.TOP, ring, glass, rim=0.93)
     middle = ring.mean(axis=0)
     inner = middle + 0.94 * (np.concatenate([lower, upper]) - middle)
     half_way = len(across)
     return ring, on_screen(inner[:half_way][::-1], inner[half_way:][::-1])
 
 
-def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:
+def _bonnet(texture: Texture, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:
     """Gaps at the bonnet's sides and front, its creases, the wipers at its rear."""
     start, back = face_edge(shape)[0], shape.cowl[0] - 0.05
 
@@ -317,16 +327,16 @@ def _bonnet(skin: Skin, shape: Shape, half: float, seam: Colour, rng: np.random.
     inner, rise = rng.uniform(0.3, 0.6), rng.uniform(0.0, 0.003)
     for side in (-1, 1):
         gap = bowed([(start, 0.62 * side), (start + 0.2, 0.70 * side), (back, 0.78 * side)])
-        skin.line(Chart.TOP, gap, seam, PAINT)
-        skin.groove(Chart.TOP, gap)
-        skin.shadow(Chart.TOP, gap, 0.08, 0.04)
+        texture.line(Chart.TOP, gap, seam, PAINT)
+        texture.groove(Chart.TOP, gap)
+        texture.shadow(Chart.TOP, gap, 0.08, 0.04)
         crease = bowed([(start, side * 0.7 * inner), (back, side * inner)])
-        skin.groove(Chart.TOP, crease, -rise, 0.09)
+        texture.groove(Chart.TOP, crease, -rise, 0.09)
         wiper = bowed([(back + 0.04, side * 0.1), (back + 0.07, side * 0.35), (back + 0.10, side * 0.6)])
-        skin.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
+        texture.line(Chart.TOP, wiper, BLACK, MATTE, 0.02)
     across = np.linspace(-1, 1, 9).tolist()
-    skin.line(Chart.TOP, bowed([(start + 0.01, 0.62 * y) for y in across]), seam, PAINT)
+    texture.line(Chart.TOP, bowed([(start + 0.01, 0.62 * y) for y in across]), seam, PAINT)
     hump = bowed([(start, -0.35), (start, 0.0), (start, 0.35), (back, 0.5), (back, 0.0), (back, -0.5)])
-    skin.emboss(Chart.TOP, hump, rng.uniform(0.002, 0.012), soft=True)
+    texture.emboss(Chart.TOP, hump, rng.uniform(0.002, 0.012), soft=True)
     cowl = bowed([*((back, 0.8 * y) for y in across), *((back + 0.11, -0.8 * y) for y in across)])
-    skin.polygon(Chart.TOP, cowl, BLACK, MATTE)
+    texture.polygon(Chart.TOP, cowl, BLACK, MATTE)

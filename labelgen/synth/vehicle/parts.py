@@ -14,7 +14,7 @@ from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.front_designs import CAR_DESIGNS, VAN_DESIGNS, FrontDesign
 from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.tail_lamp_designs import CAR_TAILS, VAN_TAILS, TailDesign
-from labelgen.synth.vehicle.texture import Colour, Skin, dim, rounded
+from labelgen.synth.vehicle.texture import Colour, Texture, dim, rounded
 
 __all__ = [
     "BLACK",
@@ -136,7 +136,7 @@ def _toward(colour: Colour, other: Colour, share: float) -> Colour:
     return red, green, blue
 
 
-def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator) -> None:
+def plate(texture: Texture, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator) -> None:
     """A number plate in its frame."""
     y, z = centre
     ground, ink, strip = _PLATES[family]
@@ -144,12 +144,12 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
     worn = rng.uniform(0.0, 0.2)
     ground, ink = _toward(ground, _DUST, 0.6 * worn), _toward(ink, ground, 0.1 + worn)
     recess = [(y - half, z + tall), (y + half, z + tall), (y + half, z - tall), (y - half, z - tall)]
-    skin.flatten(chart, recess)
-    skin.shadow(chart, [*recess, recess[0]], 0.3, 0.05)
-    skin.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), TRIM, MATTE)
-    skin.rectangle(chart, (y - half, z - tall), (y + half, z + tall), ground, PLATE)
+    texture.flatten(chart, recess)
+    texture.shadow(chart, [*recess, recess[0]], 0.3, 0.05)
+    texture.rectangle(chart, (y - half - 0.012, z - tall - 0.012), (y + half + 0.012, z + tall + 0.012), TRIM, MATTE)
+    texture.rectangle(chart, (y - half, z - tall), (y + half, z + tall), ground, PLATE)
     if strip:
-        skin.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.03, 0.06, 0.24), PLATE)
+        texture.rectangle(chart, (y - half, z - tall), (y - half + 0.035, z + tall), (0.03, 0.06, 0.24), PLATE)
     for k in range(7):
         if k == 3:
             continue
@@ -157,38 +157,38 @@ def plate(skin: Skin, chart: Chart, centre: tuple[float, float], family: int, rn
         for _ in range(int(rng.integers(2, 4))):  # strokes
             if rng.random() < 0.5:
                 at = left + rng.uniform(0, wide - 0.012)
-                skin.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)
+                texture.rectangle(chart, (at, z - high), (at + 0.012, z + high), ink, PLATE)
             else:
                 at = z + rng.uniform(-high, high - 0.012)
-                skin.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
+                texture.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
     # The sky is mirrored in its upper part.
-    skin.fade(chart, recess, SKY, (rng.uniform(0.05, 0.25), 0.03))
+    texture.fade(chart, recess, SKY, (rng.uniform(0.05, 0.25), 0.03))
 
 
-def pane(skin: Skin, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
+def pane(texture: Texture, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
     """A bonded window with rounded corners and a black rim; returns the outline of its glass."""
     ring = np.asarray(corners, dtype=np.float64)
     smooth, middle = rounded(ring, 0.11), ring.mean(axis=0)
-    skin.polygon(chart, smooth, BLACK, GLASS)
+    texture.polygon(chart, smooth, BLACK, GLASS)
     inner = middle + rim * (smooth - middle)
-    skin.polygon(chart, inner, glass, GLASS)
-    skin.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.003, 0.02)
-    skin.shadow(chart, np.concatenate([smooth, smooth[:1]]), 0.35, 0.04)
+    texture.polygon(chart, inner, glass, GLASS)
+    texture.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.003, 0.02)
+    texture.shadow(chart, np.concatenate([smooth, smooth[:1]]), 0.35, 0.04)
     # Glass is bowed across: its middle mirrors the sky, its sides what stands beside the road.
-    skin.bow(chart, smooth, (0.2, 0.42) if chart is Chart.TOP else (0.42, 0.45))
+    texture.bow(chart, smooth, (0.2, 0.42) if chart is Chart.TOP else (0.42, 0.45))
     return np.asarray(inner)
 
 
-def veil(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
+def veil(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
     """The dashboard as a windscreen mirrors it, a pale veil that is mostly stronger at its foot."""
     points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.17)
     tone: Colour = (0.72 * level, level, 0.95 * level)
     shares = (rng.uniform(0.0, 0.3), rng.uniform(0.1, 0.7))  # at the head, at the foot
     # Seen from above, noses lie at the drawing's left.
-    skin.fade(chart, points, tone, shares[::-1] if chart is Chart.TOP else shares, level=chart is Chart.TOP)
+    texture.fade(chart, points, tone, shares[::-1] if chart is Chart.TOP else shares, level=chart is Chart.TOP)
 
 
-def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
+def gleam(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
     """What glass mirrors over what lies behind it: sky near its upper edge, less and less below, softly.
 
     The ring starts with the lower edge where it is drawn from above.
@@ -197,16 +197,16 @@ def gleam(skin: Skin, chart: Chart, ring: Any, rng: np.random.Generator, share: 
     top, foot = share * rng.uniform(0.6, 1.3), 0.06 * share
     tone: Colour = (0.18, 0.21, 0.225)
     if chart is not Chart.TOP:
-        skin.fade(chart, points, tone, (top, foot))
+        texture.fade(chart, points, tone, (top, foot))
         return
     n = len(points) // 2
     rises = points[n:, 0].mean() > points[:n, 0].mean()
-    skin.fade(chart, points, tone, (foot, top) if rises else (top, foot), level=True)
+    texture.fade(chart, points, tone, (foot, top) if rises else (top, foot), level=True)
 
 
-def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
+def draw_wheels(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
     """Tyres, rims in one of several families, hubs."""
-    skin.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
+    texture.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
     family = int(rng.integers(4))
     bright = float(rng.choice([0.04, 0.16, 0.30, 0.42], p=[0.15, 0.25, 0.35, 0.25]))
     rim: Colour = (bright, bright, bright * 1.03)
@@ -215,10 +215,10 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
     for axle in shape.axles:
         hub = np.array([axle, shape.wheel])
         outer = (0.55 if heavy else 0.70) * shape.wheel
-        skin.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, LAMP)
-        skin.circle(Chart.WHEEL, hub.tolist(), outer - 0.01, (0.012, 0.012, 0.012), MATTE)
+        texture.circle(Chart.WHEEL, hub.tolist(), outer + 0.02, rim, LAMP)
+        texture.circle(Chart.WHEEL, hub.tolist(), outer - 0.01, (0.012, 0.012, 0.012), MATTE)
         if family == 0 or heavy:
-            skin.circle(Chart.WHEEL, hub.tolist(), 0.85 * outer, dim(rim, 0.7), MATTE)
+            texture.circle(Chart.WHEEL, hub.tolist(), 0.85 * outer, dim(rim, 0.7), MATTE)
         else:
             wide = (0.0, 0.10, 0.17, 0.25)[family]
             for k in range(spokes if family != 3 else 5):
@@ -227,18 +227,18 @@ def draw_wheels(skin: Skin, shape: Shape, rng: np.random.Generator) -> None:
                 across = np.array([-ahead[1], ahead[0]]) * wide * shape.wheel
                 tip = hub + 0.98 * outer * ahead
                 ring = [hub - across, hub + across, tip + 0.7 * across, tip - 0.7 * across]
-                skin.polygon(Chart.WHEEL, ring, rim, LAMP)
-        skin.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, LAMP)
+                texture.polygon(Chart.WHEEL, ring, rim, LAMP)
+        texture.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, LAMP)
 
 
 def bowl(
-    skin: Skin, chart: Chart, centre: NDArray[np.float64], radius: float, tones: tuple[Colour, Colour, Colour]
+    texture: Texture, chart: Chart, centre: NDArray[np.float64], radius: float, tones: tuple[Colour, Colour, Colour]
 ) -> None:
     """A round reflector: its rim, what lies inside, and the spot of light that stands above its middle."""
     rim, inside, spot = tones
-    skin.circle(chart, centre.tolist(), radius, rim, LAMP)
-    skin.circle(chart, centre.tolist(), 0.74 * radius, inside, LAMP)
-    skin.circle(chart, (centre + np.array([0, 0.27 * radius])).tolist(), 0.34 * radius, spot, LAMP)
+    texture.circle(chart, centre.tolist(), radius, rim, LAMP)
+    texture.circle(chart, centre.tolist(), 0.74 * radius, inside, LAMP)
+    texture.circle(chart, (centre + np.array([0, 0.27 * radius])).tolist(), 0.34 * radius, spot, LAMP)
 
 
 def mirrored(points: Sequence[tuple[float, float]], side: int) -> list[tuple[float, float]]:

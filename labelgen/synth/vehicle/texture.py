@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from labelgen.synth.shading.materials import MATTE, PAINT
 from labelgen.synth.vehicle.mesh import Chart
 
-__all__ = ["Colour", "Skin", "dim", "rounded"]
+__all__ = ["Colour", "Texture", "dim", "rounded"]
 
 _PPM, _PPM_LONG = 96, 56
-"""Skin pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
+"""Texture pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
 _LONG_M = 6.5
 # By how many texels: one that is seen squarely fills a pixel or half of one.
 _FORESHORTENED = ((Chart.SIDE, 5), (Chart.TOP, 5))
@@ -31,7 +31,7 @@ _FINE_PX, _SOFT_PX, _SOFT_SHADOW_PX = 1.2, 6.0, 5
 Colour = tuple[float, float, float]
 
 
-class Skin:
+class Texture:
     """The image, and where each chart lies in it.
 
     Args:

@@ -1,4 +1,4 @@
-"""Vehicles ready to be drawn: mesh, skin and paint, made from a body type and a random generator."""
+"""Vehicles ready to be drawn: mesh, texture and paint, made from a body type and a random generator."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from labelgen.synth.vehicle.body_mesh import body_mesh, outside_parts
 from labelgen.synth.vehicle.body_types import BODY_TYPES, Shape, sample_shape
 from labelgen.synth.vehicle.mesh import Chart, Mesh, box_mesh, join
 from labelgen.synth.vehicle.motorcycle import draw_motorcycle, motorcycle_mesh
-from labelgen.synth.vehicle.paint_sides import draw_skin
+from labelgen.synth.vehicle.paint_sides import draw_texture
 from labelgen.synth.vehicle.parts import PLATES
-from labelgen.synth.vehicle.texture import Skin
+from labelgen.synth.vehicle.texture import Texture
 
-__all__ = ["Vehicle", "body_kinds", "check_kinds", "check_plates", "make_vehicle", "vehicle_size"]
+__all__ = ["VehicleModel", "body_kinds", "check_kinds", "check_plates", "make_vehicle", "vehicle_size"]
 
 # Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
@@ -54,7 +54,7 @@ _CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.10, 0.12, 0.18), (0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Vehicle:
+class VehicleModel:
     """One vehicle.
 
     Args:
@@ -62,7 +62,7 @@ class Vehicle:
         vehicle_class: for labels.
         size_lwh: (3,) metres, the bounding cuboid of the body, as registration papers give it: without mirrors.
         mesh: around the middle of the cuboid's floor.
-        skin: what is painted on it.
+        texture: what is painted on it.
         paint: (5,) see `raster.shade`.
     """
 
@@ -70,7 +70,7 @@ class Vehicle:
     vehicle_class: VehicleClass
     size_lwh: NDArray[np.float64]
     mesh: Mesh
-    skin: Skin
+    texture: Texture
     paint: NDArray[np.float64]
 
 
@@ -94,7 +94,9 @@ def check_plates(plates: str | None) -> None:
         raise DataError(f"--plates {plates}: unknown; use one of {', '.join(PLATES)}")
 
 
-def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None) -> Vehicle:
+def make_vehicle(
+    kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None
+) -> VehicleModel:
     """A vehicle of a body type, with its own proportions, colour and details.
 
     Args:
@@ -108,10 +110,12 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
     """
     body = _body(kind, rng)
     if body.shape is None:
-        skin = Skin(body.size_lwh.tolist())
+        texture = Texture(body.size_lwh.tolist())
         for chart in Chart:
-            skin.fill(chart, body.colour, PAINT)
-        return Vehicle(kind, body.vehicle_class, body.size_lwh, body.mesh, skin, np.array([body.metal, 1, 0.9, 0, 0]))
+            texture.fill(chart, body.colour, PAINT)
+        return VehicleModel(
+            kind, body.vehicle_class, body.size_lwh, body.mesh, texture, np.array([body.metal, 1, 0.9, 0, 0])
+        )
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     mesh = body.mesh if kind == "motorcycle" else _with_outside_parts(body.mesh, body.shape)
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
@@ -122,17 +126,17 @@ def make_vehicle(kind: str, rng: np.random.Generator, *, lamps: bool = False, pl
     red, green, blue = (np.array(body.colour) * tint).clip(0, 0.75).tolist()
     colour = (red, green, blue)
     if kind == "motorcycle":
-        skin = Skin(extent)
-        draw_motorcycle(skin, body.shape, colour, rng, lamps=lamps)
+        texture = Texture(extent)
+        draw_motorcycle(texture, body.shape, colour, rng, lamps=lamps)
     else:
-        skin = draw_skin(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
-    skin.level(0.0)  # every level now rather than in the first frame
+        texture = draw_texture(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
+    texture.level(0.0)  # every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.02, 0.18)])
-    return Vehicle(kind, body.vehicle_class, body.size_lwh, mesh, skin, paint)
+    return VehicleModel(kind, body.vehicle_class, body.size_lwh, mesh, texture, paint)
 
 
 def vehicle_size(kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
-    """(3,) the size that `make_vehicle` gives with the same generator, without drawing its skin."""
+    """(3,) the size that `make_vehicle` gives with the same generator, without drawing its texture."""
     return _body(kind, rng).size_lwh
 
 

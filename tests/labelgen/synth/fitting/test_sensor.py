@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from labelgen.media.video_writer import VideoWriter
-from labelgen.synth.fitting.sensor import edge_profile, fit_edges, measure_grain, quality_of, usual_packet
-from labelgen.synth.sensor.noise import Grain
+from labelgen.synth.fitting.sensor import edge_profile, fit_edges, measure_noise, quality_of, usual_packet
+from labelgen.synth.sensor.noise import NoiseModel
 from labelgen.synth.sensor.sensor import Sensor
 
 LEVELS = np.linspace(0, 255, 9)
@@ -23,25 +23,25 @@ def stripes() -> np.ndarray:
 
 @pytest.mark.parametrize("blur", [0.0, 0.7])
 def test_noise_comes_out_as_it_went_in(blur: float) -> None:
-    grain = Grain(tuple(np.linspace(1.5, 5, 9)), (1.0,) * 9, blur, blur)
+    noise_model = NoiseModel(tuple(np.linspace(1.5, 5, 9)), (1.0,) * 9, blur, blur)
     empty = stripes()
-    tile = grain.tile((360, 270), np.random.default_rng(0))
+    tile = noise_model.tile((360, 270), np.random.default_rng(0))
     looks = np.repeat(empty[None], 16, axis=0)
     for number, look in enumerate(looks):
-        grain.add(look, tile, number)
+        noise_model.add(look, tile, number)
     flat = np.ones((270, 360), bool)
     for k in range(0, 361, 40):
         flat[:, max(0, k - 3) : k + 3] = False
-    got = measure_grain(looks, empty, flat)
-    np.testing.assert_allclose(got.grey[1:-1], grain.grey[1:-1], rtol=0.15)
-    np.testing.assert_allclose(got.colour[1:-1], grain.colour[1:-1], rtol=0.25)
+    got = measure_noise(looks, empty, flat)
+    np.testing.assert_allclose(got.grey[1:-1], noise_model.grey[1:-1], rtol=0.15)
+    np.testing.assert_allclose(got.colour[1:-1], noise_model.colour[1:-1], rtol=0.25)
     assert abs(got.grey_px - blur) < 0.25
 
 
 def test_no_still_part_means_no_noise() -> None:
     empty = stripes()
     other = np.where(empty < 128, empty + 100, empty - 100).astype(np.uint8)
-    got = measure_grain(np.stack([other] * 3), empty, np.ones((270, 360), bool))
+    got = measure_noise(np.stack([other] * 3), empty, np.ones((270, 360), bool))
     assert set(got.grey) == {0.0}
 
 

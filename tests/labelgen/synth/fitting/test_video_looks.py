@@ -17,8 +17,8 @@ from labelgen.synth.fitting.lighting import fit_to_details, fit_to_tones, tones_
 from labelgen.synth.fitting.panel_noise import fit_to_panels, panel_noise
 from labelgen.synth.fitting.sensor import block_step_of
 from labelgen.synth.renderer.vehicle_shadows import shadow_colours
-from labelgen.synth.sensor.compression_artifacts import coarse_blocks
-from labelgen.synth.sensor.noise import Grain
+from labelgen.synth.sensor.compression_artifacts import add_block_artifacts
+from labelgen.synth.sensor.noise import NoiseModel
 from labelgen.synth.sensor.sensor import Sensor
 from labelgen.synth.shading.lighting import Weather, make_light
 
@@ -32,26 +32,26 @@ def panels(level: float, noise: float, count: int = 8) -> list:
 
 @pytest.mark.parametrize("noise", [2.0, 6.0])
 def test_noise_is_found_on_even_panels(noise: float) -> None:
-    grain = Grain((8.0,) * 9, (2.0,) * 9, 0.0, 0.0)
+    noise_model = NoiseModel((8.0,) * 9, (2.0,) * 9, 0.0, 0.0)
     found = panel_noise(panels(128, noise), 9)
     assert np.isnan(found).tolist() == [k != 4 for k in range(9)]
-    shares = fit_to_panels(grain, panels(128, noise)).on_vehicles
+    shares = fit_to_panels(noise_model, panels(128, noise)).on_vehicles
     assert 8 * shares[4] == pytest.approx(noise, rel=0.25)
     assert (np.diff(shares[4:]) >= 0).all()
     assert max(shares) <= 1
 
 
 def test_without_vehicles_the_noise_stays_what_it_is() -> None:
-    grain = Grain((8.0,) * 9, (2.0,) * 9, 0.0, 0.0)
-    assert fit_to_panels(grain, panels(128, 3, count=2)) == grain
+    noise_model = NoiseModel((8.0,) * 9, (2.0,) * 9, 0.0, 0.0)
+    assert fit_to_panels(noise_model, panels(128, 3, count=2)) == noise_model
 
 
 def test_vehicles_get_their_share_of_the_noise() -> None:
-    grain = Grain((8.0,) * 9, (2.0,) * 9, 0.0, 0.0, (0.25,))
+    noise_model = NoiseModel((8.0,) * 9, (2.0,) * 9, 0.0, 0.0, (0.25,))
     image = np.full((120, 160, 3), 128, np.uint8)
     vehicles = np.zeros((120, 160), bool)
     vehicles[:, 80:] = True
-    grain.add(image, grain.tile((160, 120), np.random.default_rng(0)), 0, vehicles)
+    noise_model.add(image, noise_model.tile((160, 120), np.random.default_rng(0)), 0, vehicles)
     grey = image.astype(float) @ [0.114, 0.587, 0.299]
     assert grey[:, 80:].std() == pytest.approx(0.25 * grey[:, :80].std(), rel=0.15)
 
@@ -61,11 +61,11 @@ def test_blocks_are_coarse_where_something_moves_and_nowhere_else() -> None:
     image = cv2.GaussianBlur(rng.integers(0, 255, (90, 110, 3)).astype(np.uint8), (0, 0), 1.0)
     moving = np.zeros((90, 110), bool)
     moving[40:48, 56:64] = True
-    coarse = coarse_blocks(image, moving, 12.0)
+    coarse = add_block_artifacts(image, moving, 12.0)
     off = np.abs(coarse.astype(int) - image).max(axis=2)
     assert off[40:48, 56:64].max() > 4
     assert off[:20].max() == off[:, :30].max() == off[70:].max() == off[:, 84:].max() == 0
-    coarser = np.abs(coarse_blocks(image, moving, 40.0).astype(int) - image).max(axis=2)
+    coarser = np.abs(add_block_artifacts(image, moving, 40.0).astype(int) - image).max(axis=2)
     assert coarser[40:48, 56:64].mean() > 1.4 * off[40:48, 56:64].mean()
 
 

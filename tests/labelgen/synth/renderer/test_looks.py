@@ -13,47 +13,47 @@ from labelgen.geometry.camera import look_at_road
 from labelgen.synth.renderer.renderer import Placed, Renderer
 from labelgen.synth.scene.scene import procedural_scene
 from labelgen.synth.scene.traffic import random_traffic
-from labelgen.synth.sensor.glints import Stars
+from labelgen.synth.sensor.glints import Glints
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.shading.materials import PAINT
 from labelgen.synth.vehicle.mesh import Chart
-from labelgen.synth.vehicle.texture import Skin
+from labelgen.synth.vehicle.texture import Texture
 from labelgen.synth.vehicle.vehicle import make_vehicle
 
 PANEL = [(1.0, 0.4), (3.0, 0.4), (3.0, 1.0), (1.0, 1.0)]
 
 
-def painted() -> Skin:
-    skin = Skin((4.0, 2.0, 1.5))
-    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
-    return skin
+def painted() -> Texture:
+    texture = Texture((4.0, 2.0, 1.5))
+    texture.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    return texture
 
 
-def at(skin: Skin, d: float, z: float) -> tuple[int, int]:
-    return round((1.5 - z) * skin.ppm), round(d * skin.ppm)
+def at(texture: Texture, d: float, z: float) -> tuple[int, int]:
+    return round((1.5 - z) * texture.ppm), round(d * texture.ppm)
 
 
 def test_a_bowed_panel_falls_away_from_its_middle_and_can_be_flattened() -> None:
-    skin = painted()
-    skin.bow(Chart.SIDE, PANEL, (0.5, 1.0), (0.0, 0.1))
-    skin.flatten(Chart.SIDE, [(2.6, 0.8), (2.9, 0.8), (2.9, 0.9), (2.6, 0.9)])
-    along, down = (skin.image[..., k].astype(int) - 128 for k in (4, 5))
+    texture = painted()
+    texture.bow(Chart.SIDE, PANEL, (0.5, 1.0), (0.0, 0.1))
+    texture.flatten(Chart.SIDE, [(2.6, 0.8), (2.9, 0.8), (2.9, 0.9), (2.6, 0.9)])
+    along, down = (texture.image[..., k].astype(int) - 128 for k in (4, 5))
     for d, slope in ((1.2, 40), (2.0, 0), (2.5, -25)):
-        assert along[at(skin, d, 0.7)] == pytest.approx(slope, abs=3)
+        assert along[at(texture, d, 0.7)] == pytest.approx(slope, abs=3)
     for z, slope in ((0.9, 30), (0.7, 10), (0.5, -10)):
-        assert down[at(skin, 2.0, z)] == pytest.approx(slope, abs=3)
-    assert along[at(skin, 2.75, 0.85)] == down[at(skin, 2.75, 0.85)] == 0
-    assert along[at(skin, 3.5, 0.7)] == 0
+        assert down[at(texture, 2.0, z)] == pytest.approx(slope, abs=3)
+    assert along[at(texture, 2.75, 0.85)] == down[at(texture, 2.75, 0.85)] == 0
+    assert along[at(texture, 3.5, 0.7)] == 0
 
 
 def test_a_soft_shadow_darkens_a_line_and_fades_beside_it() -> None:
-    skin = painted()
-    skin.shadow(Chart.SIDE, [(0.5, 0.7), (3.5, 0.7)], 0.5, 0.06)
-    grey = (skin.image[..., 0].astype(float) / 255) ** 2
-    assert grey[at(skin, 2.0, 0.7)] == pytest.approx(0.25, abs=0.02)
-    assert 0.3 < grey[at(skin, 2.0, 0.735)] < 0.49
-    assert grey[at(skin, 2.0, 1.0)] == pytest.approx(0.5, abs=0.01)
+    texture = painted()
+    texture.shadow(Chart.SIDE, [(0.5, 0.7), (3.5, 0.7)], 0.5, 0.06)
+    grey = (texture.image[..., 0].astype(float) / 255) ** 2
+    assert grey[at(texture, 2.0, 0.7)] == pytest.approx(0.25, abs=0.02)
+    assert 0.3 < grey[at(texture, 2.0, 0.735)] < 0.49
+    assert grey[at(texture, 2.0, 1.0)] == pytest.approx(0.5, abs=0.01)
 
 
 def gleaming() -> np.ndarray:
@@ -68,7 +68,7 @@ NOTHING = np.zeros((0, 0), np.uint8)
 
 def test_stars_stand_over_gleams_alone() -> None:
     image = np.full((100, 120, 3), 80, np.uint8)
-    Stars(8.0, np.random.default_rng(0)).add(image, gleaming(), (20, 30), NOTHING)
+    Glints(8.0, np.random.default_rng(0)).add(image, gleaming(), (20, 30), NOTHING)
     rows, columns = np.nonzero((image != 80).any(axis=2))
     assert np.abs(rows - 60.5).max() <= 9
     assert np.abs(columns - 61).max() <= 9
@@ -84,7 +84,7 @@ def test_where_no_stars_are(case: str) -> None:
         hidden = np.full((60, 80), 255, np.uint8)
     if case == "even":  # a white roof is no glint
         layer[10:50, 10:70, :3] = 255
-    Stars(0.0 if case == "no arms" else 8.0, np.random.default_rng(0)).add(image, layer, (20, 30), hidden)
+    Glints(0.0 if case == "no arms" else 8.0, np.random.default_rng(0)).add(image, layer, (20, 30), hidden)
     assert (image == 80).all()
 
 

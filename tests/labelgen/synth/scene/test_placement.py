@@ -11,7 +11,7 @@ import pytest
 
 from labelgen.geometry.camera import look_at_road
 from labelgen.synth.renderer.renderer import Placed, Renderer
-from labelgen.synth.scene.placement import KINDS, Prop, clutter
+from labelgen.synth.scene.placement import KINDS, Prop, place_props
 from labelgen.synth.scene.props import ALONG, AT
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import carriageways, procedural_scene, visible_range
@@ -31,9 +31,9 @@ def light(weather: Weather = Weather.DAY):
 
 
 def renderer_behind(props: list[Prop], **more) -> tuple[Renderer, np.ndarray]:
-    image, still = draw_props(np.full((360, 640, 3), 90, np.float32), CAMERA, light(), props, NO_SHADE)
+    image, static_layer = draw_props(np.full((360, 640, 3), 90, np.float32), CAMERA, light(), props, NO_SHADE)
     background = image.astype(np.uint8)
-    return Renderer(CAMERA, background, light(), seed=0, still=still, **more), background
+    return Renderer(CAMERA, background, light(), seed=0, static_layer=static_layer, **more), background
 
 
 def car(x: float, y: float) -> Placed:
@@ -44,7 +44,7 @@ def test_every_kind_stands_somewhere() -> None:
     seen = set()
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        seen |= {p.kind for p in clutter(procedural_scene(rng, SIZE), 1.0, rng)}
+        seen |= {p.kind for p in place_props(procedural_scene(rng, SIZE), 1.0, rng)}
         if seen == set(KINDS):
             break
     assert seen == set(KINDS)
@@ -54,9 +54,9 @@ def test_every_kind_stands_somewhere() -> None:
 def test_nothing_stands_on_a_lane_or_in_front_of_much_of_the_road(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = procedural_scene(rng, SIZE)
-    props = clutter(scene, 1.0, rng)
+    props = place_props(scene, 1.0, rng)
     for prop in props:
-        low = prop.soup.corners[prop.soup.corners[..., 2] < 4.5]
+        low = prop.triangles.corners[prop.triangles.corners[..., 2] < 4.5]
         for y0, y1, _ in carriageways(scene):
             assert not ((low[:, 1] > y0) & (low[:, 1] < y1)).any(), prop.kind
     kept = without_view_blockers(scene, props)
@@ -91,7 +91,7 @@ def test_things_before_a_vehicle_hide_it_and_those_behind_do_not(low, high, hide
     gone = alone.mask & ~drawn[0].mask
     assert gone.sum() > 30
     h, w = gone.shape
-    cover = renderer.still.cover[y : y + h, x : x + w]
+    cover = renderer.static_layer.cover[y : y + h, x : x + w]
     assert (cover[gone] >= 128).all()
     assert not (drawn[0].mask & (cover >= 128)).any()
     inner = gone & (cover == 255)
@@ -102,15 +102,15 @@ def test_things_before_a_vehicle_hide_it_and_those_behind_do_not(low, high, hide
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "gantry"])
 def test_every_kind_is_drawn_and_stands_on_the_ground(kind: str) -> None:
     rng = np.random.default_rng(1)
-    soup = ALONG[kind](15.0, 40.0, 5.0, 1, rng) if kind in ALONG else AT[kind](25.0, 5.0, 1, rng)
-    assert len(soup) > 3
-    assert np.isfinite(soup.corners).all()
-    assert -0.01 <= soup.corners[..., 2].min() < 0.5
-    assert (soup.albedo >= 0).all()
-    assert (soup.albedo <= 1).all()
-    np.testing.assert_allclose(np.linalg.norm(soup.normals, axis=1)[soup.leafy], 1, atol=1e-4)
-    renderer, background = renderer_behind([Prop(kind, soup)])
-    shown = renderer.still.cover > 128
+    triangles = ALONG[kind](15.0, 40.0, 5.0, 1, rng) if kind in ALONG else AT[kind](25.0, 5.0, 1, rng)
+    assert len(triangles) > 3
+    assert np.isfinite(triangles.corners).all()
+    assert -0.01 <= triangles.corners[..., 2].min() < 0.5
+    assert (triangles.albedo >= 0).all()
+    assert (triangles.albedo <= 1).all()
+    np.testing.assert_allclose(np.linalg.norm(triangles.normals, axis=1)[triangles.leafy], 1, atol=1e-4)
+    renderer, background = renderer_behind([Prop(kind, triangles)])
+    shown = renderer.static_layer.cover > 128
     assert shown.sum() > 50
     assert np.abs(background.astype(int) - 90).max(axis=2)[shown].mean() > 5
 
@@ -133,9 +133,9 @@ def test_the_same_seed_gives_the_same_picture() -> None:
         rng = np.random.default_rng(7)
         scene = procedural_scene(rng, SIZE)
         lit = varied_light(make_light(Weather.DAY, rng), rng)
-        image, still = draw_scene(scene, lit, rng)
-        assert still is not None
-        pictures.append((image, still.cover, still.place, still.shade.sun, make_sensor(rng)))
+        image, static_layer = draw_scene(scene, lit, rng)
+        assert static_layer is not None
+        pictures.append((image, static_layer.cover, static_layer.place, static_layer.shade.sun, make_sensor(rng)))
     for a, b in zip(*pictures, strict=True):
         assert np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
 

@@ -18,22 +18,22 @@ from labelgen.synth.vehicle.lettering import letter_van
 from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.parts import sample_style
 from labelgen.synth.vehicle.tail_lamp_designs import CAR_TAILS, VAN_TAILS, TailDesign
-from labelgen.synth.vehicle.texture import Skin
+from labelgen.synth.vehicle.texture import Texture
 from labelgen.synth.vehicle.vehicle import make_vehicle
 
 
 @pytest.mark.parametrize("kind", BODY_TYPES)
 def test_every_body_has_glass_lamps_and_a_plate(kind: str) -> None:
-    skin = make_vehicle(kind, np.random.default_rng(0)).skin
-    materials = set(np.unique(skin.image[..., 3]).tolist())
+    texture = make_vehicle(kind, np.random.default_rng(0)).texture
+    materials = set(np.unique(texture.image[..., 3]).tolist())
     assert {PAINT, GLASS, PLATE} <= materials
     assert materials <= {MATTE, PAINT, GLASS, LAMP, CHROME, PLATE, LIT}
     assert materials & {LAMP, LIT}
-    assert LIT in np.unique(make_vehicle(kind, np.random.default_rng(0), lamps=True).skin.image[..., 3])
+    assert LIT in np.unique(make_vehicle(kind, np.random.default_rng(0), lamps=True).texture.image[..., 3])
 
 
 def test_the_same_generator_paints_the_same_and_others_differ() -> None:
-    a, b, c = (make_vehicle("hatchback", np.random.default_rng(seed)).skin.image for seed in (1, 1, 2))
+    a, b, c = (make_vehicle("hatchback", np.random.default_rng(seed)).texture.image for seed in (1, 1, 2))
     assert np.array_equal(a, b)
     assert a.shape != c.shape or not np.array_equal(a, c)
 
@@ -101,21 +101,21 @@ def test_lamps_reach_up_to_the_bonnet_in_one_piece(kind: str) -> None:
 
 
 def test_words_are_as_tall_and_wide_as_said() -> None:
-    skin = Skin((8.0, 2.5, 3.5))
-    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
-    wide = skin.text(Chart.SIDE, (2.0, 2.0), "MOTO", 0.4, (0.0, 0.0, 0.0), PAINT)
-    rows, columns = np.nonzero(skin.image[: round(3.5 * skin.ppm), :, 0] < 100)
-    assert (np.ptp(rows) + 1) / skin.ppm == pytest.approx(0.4, abs=0.12)
-    assert 3.5 - rows.max() / skin.ppm == pytest.approx(2.0, abs=0.06)
-    assert columns.min() / skin.ppm == pytest.approx(2.0, abs=0.06)
-    assert (np.ptp(columns) + 1) / skin.ppm == pytest.approx(wide, abs=0.1)
+    texture = Texture((8.0, 2.5, 3.5))
+    texture.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    wide = texture.text(Chart.SIDE, (2.0, 2.0), "MOTO", 0.4, (0.0, 0.0, 0.0), PAINT)
+    rows, columns = np.nonzero(texture.image[: round(3.5 * texture.ppm), :, 0] < 100)
+    assert (np.ptp(rows) + 1) / texture.ppm == pytest.approx(0.4, abs=0.12)
+    assert 3.5 - rows.max() / texture.ppm == pytest.approx(2.0, abs=0.06)
+    assert columns.min() / texture.ppm == pytest.approx(2.0, abs=0.06)
+    assert (np.ptp(columns) + 1) / texture.ppm == pytest.approx(wide, abs=0.1)
 
 
 def test_letters_are_of_their_own_material_alone() -> None:
-    skin = Skin((8.0, 2.5, 3.5))
-    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
-    skin.text(Chart.SIDE, (2.0, 2.0), "CARGO", 0.4, (0.1, 0.0, 0.0), LAMP)
-    side = skin.image[: round(3.5 * skin.ppm)]
+    texture = Texture((8.0, 2.5, 3.5))
+    texture.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    texture.text(Chart.SIDE, (2.0, 2.0), "CARGO", 0.4, (0.1, 0.0, 0.0), LAMP)
+    side = texture.image[: round(3.5 * texture.ppm)]
     assert set(np.unique(side[..., 3]).tolist()) == {PAINT, LAMP}
     assert len(np.unique(side[..., 0])) == 2
 
@@ -125,24 +125,24 @@ def test_names_on_vans_begin_behind_the_windows(first: float) -> None:
     """And there are none where too little of the side is left."""
     shape = BODY_TYPES["van"]
     for seed in range(12):
-        plain, skin = (Skin((shape.length, shape.width, shape.height)) for _ in range(2))
-        letter_van(skin, shape, first, np.random.default_rng(seed))
-        side = slice(0, round(shape.height * skin.ppm))
-        changed = np.flatnonzero((skin.image != plain.image)[side].any(axis=(0, 2)))
+        plain, texture = (Texture((shape.length, shape.width, shape.height)) for _ in range(2))
+        letter_van(texture, shape, first, np.random.default_rng(seed))
+        side = slice(0, round(shape.height * texture.ppm))
+        changed = np.flatnonzero((texture.image != plain.image)[side].any(axis=(0, 2)))
         if first > shape.length - 1.0:
             assert not len(changed)
         else:
             assert len(changed)
-            assert changed.min() / skin.ppm > first - 0.05
+            assert changed.min() / texture.ppm > first - 0.05
 
 
 def test_weather_takes_light_from_paint_alone_and_nowhere_adds_any() -> None:
-    skins = [Skin((4.0, 2.0, 1.5)) for _ in range(2)]
-    for skin in skins:
-        skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
-        skin.rectangle(Chart.SIDE, (1.0, 0.5), (2.0, 1.0), (0.5, 0.5, 0.5), GLASS)
-    skins[1].weather(Chart.SIDE, 0.4, 0.2, np.random.default_rng(0))
-    before, after = (skin.image[: round(1.5 * skin.ppm), : round(4.0 * skin.ppm)] for skin in skins)
+    textures = [Texture((4.0, 2.0, 1.5)) for _ in range(2)]
+    for texture in textures:
+        texture.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+        texture.rectangle(Chart.SIDE, (1.0, 0.5), (2.0, 1.0), (0.5, 0.5, 0.5), GLASS)
+    textures[1].weather(Chart.SIDE, 0.4, 0.2, np.random.default_rng(0))
+    before, after = (texture.image[: round(1.5 * texture.ppm), : round(4.0 * texture.ppm)] for texture in textures)
     paint = before[..., 3] == PAINT
     assert np.array_equal(before[~paint], after[~paint])
     assert (after[paint][:, :3] <= before[paint][:, :3]).all()
@@ -150,33 +150,33 @@ def test_weather_takes_light_from_paint_alone_and_nowhere_adds_any() -> None:
 
 
 def test_drawings_seen_foreshortened_are_softened_along_the_road_alone() -> None:
-    skin = Skin((4.0, 2.0, 1.5))
-    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
-    skin.line(Chart.SIDE, [(2.0, 0.2), (2.0, 1.3)], (0.0, 0.0, 0.0), PAINT, 0.011)
-    skin.line(Chart.SIDE, [(0.2, 0.7), (1.5, 0.7)], (0.0, 0.0, 0.0), PAINT, 0.011)
-    image, _ = skin.level(0.0)
-    row, column = round((1.5 - 1.0) * skin.ppm), round(2.0 * skin.ppm)
+    texture = Texture((4.0, 2.0, 1.5))
+    texture.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    texture.line(Chart.SIDE, [(2.0, 0.2), (2.0, 1.3)], (0.0, 0.0, 0.0), PAINT, 0.011)
+    texture.line(Chart.SIDE, [(0.2, 0.7), (1.5, 0.7)], (0.0, 0.0, 0.0), PAINT, 0.011)
+    image, _ = texture.level(0.0)
+    row, column = round((1.5 - 1.0) * texture.ppm), round(2.0 * texture.ppm)
     upright = np.count_nonzero(image[row, column - 6 : column + 7, 0] < 178)
     lying = np.count_nonzero(
-        image[round(0.8 * skin.ppm) - 6 : round(0.8 * skin.ppm) + 7, round(0.8 * skin.ppm), 0] < 178
+        image[round(0.8 * texture.ppm) - 6 : round(0.8 * texture.ppm) + 7, round(0.8 * texture.ppm), 0] < 178
     )
     assert upright == lying + 4
 
 
 def test_relief_tilts_towards_its_edges_alone() -> None:
-    skin = Skin((4.0, 2.0, 1.5))
-    skin.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
-    skin.emboss(Chart.SIDE, [(1, 0.4), (3, 0.4), (3, 1.0), (1, 1.0)], 0.02)
-    along, down = (skin.image[..., k].astype(int) - 128 for k in (4, 5))
-    row, column = round((1.5 - 0.7) * skin.ppm), round(1.0 * skin.ppm)
+    texture = Texture((4.0, 2.0, 1.5))
+    texture.fill(Chart.SIDE, (0.5, 0.5, 0.5), PAINT)
+    texture.emboss(Chart.SIDE, [(1, 0.4), (3, 0.4), (3, 1.0), (1, 1.0)], 0.02)
+    along, down = (texture.image[..., k].astype(int) - 128 for k in (4, 5))
+    row, column = round((1.5 - 0.7) * texture.ppm), round(1.0 * texture.ppm)
     assert along[row, column] > 20
-    assert along[row, round(3.0 * skin.ppm)] < -20
+    assert along[row, round(3.0 * texture.ppm)] < -20
     assert down[row, column] == 0
-    assert along[row, round(2.0 * skin.ppm)] == 0
+    assert along[row, round(2.0 * texture.ppm)] == 0
     # Coarser levels keep materials apart and slopes together.
-    image, maps = skin.level(0.05)
+    image, maps = texture.level(0.05)
     assert set(np.unique(image[..., 3])) <= {0, PAINT}
-    np.testing.assert_allclose(maps * 4, skin.maps)
+    np.testing.assert_allclose(maps * 4, texture.maps)
 
 
 def test_paint_mirrors_the_sky_above_and_the_road_below() -> None:
@@ -198,7 +198,7 @@ def test_a_black_roof_shows_the_sky() -> None:
     car = next(
         v
         for v in (make_vehicle("saloon", np.random.default_rng(seed)) for seed in range(60))
-        if np.median(v.skin.image[..., :3][v.skin.image[..., 3] == PAINT]) < 45
+        if np.median(v.texture.image[..., :3][v.texture.image[..., 3] == PAINT]) < 45
     )
     renderer = Renderer(camera, np.full((240, 320, 3), 90, np.uint8), light, seed=0)
     image, drawn = renderer.frame([Placed(1, car, np.array([16.0, 0.5]), -1, 1.0)])
