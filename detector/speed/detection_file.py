@@ -7,11 +7,11 @@
     ...
 
 One line per frame, frames without detections included. `boxes` lie in the rectified picture, or in the frame where
-`rectification` is null. `cc` is there for variants that decode it. `vertices` (eight points each, frame px) is there for
-all variants with 3D boxes; a reader needs it only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes` may be
-left out. `time_s` may be null or left out where `fps` is given. `outlines` is the value of a
-`detector.speed.contact_point.MaskExtent` where boxes end with the outline of a mask. It is null or left out where boxes
-end at the edge of a 3D box on the road.
+`rectification` is null. `cc` is there for variants that decode it. `vertices` (eight points each, frame px) is there
+for all variants with 3D boxes; a reader needs it only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes`
+may be left out. `time_s` may be null or left out where `fps` is given. `outlines` is the value of a
+`detector.speed.contact_point.MaskExtent` where boxes end with the outline of a mask. It is null or left out where
+boxes end at the edge of a 3D box on the road.
 """
 
 from __future__ import annotations
