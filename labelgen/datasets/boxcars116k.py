@@ -138,7 +138,7 @@ class BoxCars:
         """
         # Messages go into the shards, which are the same wherever the data set lies: no paths of this machine.
         if self.atlas is None:
-            return read_image(self.images / instance.path, what=f"{self.images.name}/{instance.path}")
+            return read_image(self.images / instance.path, label=f"{self.images.name}/{instance.path}")
         what = f"{self.atlas.name}[{instance.vehicle}][{instance.number}]"
         try:
             encoded = self._atlas[instance.vehicle][instance.number]

@@ -1,4 +1,4 @@
-"""Frames in order, from a video file or a folder of images: one interface for both.
+"""Frames in order, from a video file, a folder of images or a camera stream: one interface for all.
 
 Convention: images are (H, W, 3) uint8 BGR; frames are numbered from 0 in the order they are shown; times are seconds
 since the first frame.
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frame", "FrameSource", "LazyFrame", "always", "grey_of", "shrunk"]
+__all__ = ["Frame", "FrameSource", "LazyFrame", "always", "downscale", "to_grey"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Frame:
 
     Args:
         number: position in the source, from 0.
-        time_s: its own time stamp relative to the first frame's; NaN in a folder of images.
+        time_s: its own time stamp relative to that of the first frame, s; NaN in a folder of images.
         image: (H, W, 3) uint8 BGR.
         name: file name in a folder of images, relative to it; empty in a video.
     """
@@ -37,29 +37,29 @@ class Frame:
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
-        """(H, W) uint8, the image without its colours."""
-        return grey_of(self.image)
+        """(H, W) uint8 grey levels of the image."""
+        return to_grey(self.image)
 
     def small_grey(self, factor: int) -> NDArray[np.uint8]:
-        """(H // factor, W // factor) uint8 greys, each the mean of the pixels it stands for."""
-        return shrunk(self.grey, factor)
+        """Return the grey levels downscaled by a factor, (H // factor, W // factor) uint8; see `downscale`."""
+        return downscale(self.grey, factor)
 
 
-def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """A picture (H, W[, C]) uint8 at (H // factor, W // factor), each pixel the mean of those it stands for."""
+def downscale(picture: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """Downscale a picture (H, W[, C]) uint8 to (H // factor, W // factor) by area averaging."""
     if factor == 1:
         return picture
     size = tuple(max(1, n // factor) for n in picture.shape[1::-1])
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) uint8 greys of a picture (H, W, 3) uint8 BGR."""
+def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Convert a picture (H, W, 3) uint8 BGR to (H, W) uint8 grey levels."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def always(number: int) -> bool:
-    """Every frame is wanted."""
+    """Return True for every frame number."""
     return True
 
 
@@ -115,13 +115,13 @@ Picture = NDArray[np.uint8]
 
 
 class LazyFrame(Frame):
-    """A frame that stands for work not yet done.
+    """A frame whose picture is converted when it is first read.
 
     Args:
         number, time_s: as in `Frame`.
-        convert: gives the picture, (H, W, 3) uint8 BGR.
-        take_greys: gives its greys at a factor, (H // factor, W // factor) uint8; None where they must be made from the
-            colours.
+        convert: returns the picture, (H, W, 3) uint8 BGR.
+        read_grey: returns the grey levels downscaled by a factor, (H // factor, W // factor) uint8; None where they
+            must be computed from the colours.
     """
 
     def __init__(
@@ -129,10 +129,10 @@ class LazyFrame(Frame):
         number: int,
         time_s: float,
         convert: Callable[[], Picture],
-        take_greys: Callable[[int], Picture | None],
+        read_grey: Callable[[int], Picture | None],
     ) -> None:
-        # What `Frame` is made of is frozen.
-        self.__dict__.update(number=number, time_s=time_s, name="", _convert=convert, _take_greys=take_greys)
+        # `Frame` is frozen, so its fields cannot be assigned.
+        self.__dict__.update(number=number, time_s=time_s, name="", _convert=convert, _read_grey=read_grey)
 
     @cached_property
     def image(self) -> Picture:
@@ -142,11 +142,11 @@ class LazyFrame(Frame):
 
     @cached_property
     def grey(self) -> Picture:
-        """(H, W) uint8, the image without its colours."""
-        greys: Picture | None = self.__dict__["_take_greys"](1)
-        return grey_of(self.image) if greys is None else greys
+        """(H, W) uint8 grey levels of the image."""
+        grey: Picture | None = self.__dict__["_read_grey"](1)
+        return to_grey(self.image) if grey is None else grey
 
     def small_grey(self, factor: int) -> Picture:
-        """(H // factor, W // factor) uint8 greys; the frame is not gone through at full size for them."""
-        greys: Picture | None = self.__dict__["_take_greys"](factor)
-        return shrunk(self.grey, factor) if greys is None else greys
+        """Return the grey levels downscaled by a factor, without converting the frame at full size where possible."""
+        grey: Picture | None = self.__dict__["_read_grey"](factor)
+        return downscale(self.grey, factor) if grey is None else grey

@@ -1,4 +1,4 @@
-"""Reading one image file or one encoded image, whatever is wrong with it.
+"""Read one image file or one encoded image; every defect of it becomes a `DataError`.
 
 Convention: colour images are (H, W, 3) uint8 BGR.
 """
@@ -17,46 +17,52 @@ from labelgen.errors import DataError
 __all__ = ["decode_image", "read_image"]
 
 
-def read_image(path: Path, flags: int = cv2.IMREAD_COLOR, *, what: str = "") -> NDArray[Any]:
-    """An image file's pixels.
+def read_image(path: Path, flags: int = cv2.IMREAD_COLOR, *, label: str = "") -> NDArray[Any]:
+    """Read an image file.
 
     Args:
-        path: of any form; OpenCV itself neither opens every path a file system allows nor keeps quiet when it cannot.
+        path: any path that the file system allows; OpenCV's own reader opens only some of them.
         flags: OpenCV's `IMREAD_...`, which decide shape and dtype.
-        what: what to call it in an error; its path by default.
+        label: name of the image in errors; its path by default.
+
+    Returns:
+        (H, W, 3) uint8 BGR with the default flags.
 
     Raises:
-        DataError: not there, or no image.
+        DataError: there is no such file, or it is not an image.
     """
-    what = what or str(path).encode("utf-8", "backslashreplace").decode()
+    label = label or str(path).encode("utf-8", "backslashreplace").decode()
     try:
         encoded = np.fromfile(path, dtype=np.uint8)
     except OSError as err:
-        raise DataError(f"{what}: {err.strerror or err}") from None
-    except ValueError:  # NUL or half a character in it
-        raise DataError(f"{what}: its path is no file's name") from None
-    return decode_image(encoded, what, flags)
+        raise DataError(f"{label}: {err.strerror or err}") from None
+    except ValueError:  # the path holds NUL or half a surrogate pair
+        raise DataError(f"{label}: its path is no file's name") from None
+    return decode_image(encoded, label, flags)
 
 
-def decode_image(encoded: NDArray[np.uint8], what: str, flags: int = cv2.IMREAD_COLOR) -> NDArray[Any]:
-    """The pixels of an image in memory.
+def decode_image(encoded: NDArray[np.uint8], label: str, flags: int = cv2.IMREAD_COLOR) -> NDArray[Any]:
+    """Decode an image in memory.
 
     Args:
         encoded: (N,) bytes of an image file.
-        what: what to call it in an error.
+        label: name of the image in errors.
         flags: OpenCV's `IMREAD_...`, which decide shape and dtype.
 
+    Returns:
+        (H, W, 3) uint8 BGR with the default flags.
+
     Raises:
-        DataError: no image.
+        DataError: the bytes are not an image.
     """
-    # OpenCV would print what the error says; libpng and libjpeg print on their own and cannot be stopped here.
+    # Keep OpenCV from printing what the error says. Messages of libpng and libjpeg cannot be suppressed here.
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         image = cv2.imdecode(encoded, flags) if encoded.size else None
-    except cv2.error:  # for instance more pixels announced than OpenCV allows
+    except cv2.error:  # for instance, the header announces more pixels than OpenCV allows
         image = None
     finally:
         cv2.utils.logging.setLogLevel(level)
     if image is None:
-        raise DataError(f"{what}: not an image")
+        raise DataError(f"{label}: not an image")
     return np.asarray(image)

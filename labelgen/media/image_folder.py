@@ -14,13 +14,13 @@ from labelgen.errors import DataError
 from labelgen.media.frames import Frame, always
 from labelgen.media.image_file import read_image
 
-__all__ = ["ImageFolder", "natural_key"]
+__all__ = ["ImageFolder"]
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 
 
-def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
-    """Sorting key by which img2 comes before img10; the name itself breaks ties such as img1 and img01."""
+def _natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Return a sort key that puts img2 before img10; the name itself breaks ties such as img1 and img01."""
     parts = re.split(r"(\d+)", name.lower())
     return [(int(part), "") if i % 2 else (-1, part) for i, part in enumerate(parts)], name
 
@@ -28,8 +28,14 @@ def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
 class ImageFolder:
     """The images of one folder, in natural order, as a `labelgen.media.frames.FrameSource`.
 
-    Files that start with a dot and subfolders are left alone. A frame's number is its place among all image files, so
-    an unreadable one leaves a gap and does not renumber the others.
+    Subfolders and files whose name starts with a dot are ignored. A frame's number is its position among all image
+    files, so an unreadable file leaves a gap and does not renumber the others.
+
+    Args:
+        path: the folder.
+
+    Attributes:
+        file_names: names of the image files, in natural order.
 
     Raises:
         DataError: no such folder, no image file in it, or none that can be read.
@@ -47,7 +53,7 @@ class ImageFolder:
             names = [p.name for p in self.path.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file()]
         except OSError as error:
             raise DataError(f"{self.path}: cannot be listed ({error.strerror})") from None
-        self.file_names = sorted((n for n in names if not n.startswith(".")), key=natural_key)
+        self.file_names = sorted((n for n in names if not n.startswith(".")), key=_natural_key)
         if not self.file_names:
             raise DataError(f"{self.path}: no images in this folder; expected files such as *.jpg or *.png")
         self.frame_count: int | None = len(self.file_names)
@@ -59,7 +65,7 @@ class ImageFolder:
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
     ) -> Iterator[Frame]:
-        """The wanted frames; see `FrameSource.frames`. Afterwards `problems` lists the files that were skipped."""
+        """Return the wanted frames; see `FrameSource.frames`. Afterwards `problems` lists the skipped files."""
         self.problems = []
         for number, name in enumerate(self.file_names):
             if not wanted(number):

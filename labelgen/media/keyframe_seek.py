@@ -1,4 +1,4 @@
-"""Packets of a video left out where nobody wants its frames: decoding goes on at a key frame."""
+"""Skip packets of a video whose frames nobody wants; decoding resumes at a key frame."""
 
 from __future__ import annotations
 
@@ -6,51 +6,50 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-__all__ = ["Leap"]
-
-# A leap may go on to a key frame so much later than was asked for. So much of the video, compressed, is kept in memory.
-_BEYOND_S = 10.0
+__all__ = ["KeyframeSeek"]
 
 
-class Leap:
-    """What is left out of one pass over a video.
+class KeyframeSeek:
+    """Packets skipped in one pass over a video.
 
     Args:
-        not_before_s: asked before each packet: no frame that comes earlier is wanted, s since the first frame.
+        not_before_s: asked before each packet; no frame before this time is wanted, s since the first frame.
+        lookahead_s: how far behind the wanted time a key frame may lie, s. Until one is found, that much of the
+            compressed video is kept in memory.
 
     Attributes:
-        dropped: how many packets, of a frame each, were left out.
-        landed_s: time of the key frame that the last leap ended at; frames before it may look wrong.
+        skipped_packets: number of packets skipped so far, of one frame each.
+        resumed_s: time of the key frame at which decoding last resumed, s; frames before it may be damaged.
     """
 
-    def __init__(self, not_before_s: Callable[[], float]) -> None:
-        self._not_before_s = not_before_s
-        self.dropped = 0
-        self.landed_s = -math.inf
+    def __init__(self, not_before_s: Callable[[], float], *, lookahead_s: float = 10.0) -> None:
+        self._not_before_s, self._lookahead_s = not_before_s, lookahead_s
+        self.skipped_packets = 0
+        self.resumed_s = -math.inf
 
-    def over(self, packets: Iterator[Any], time_of: Callable[[Any], float]) -> Iterator[Any]:
-        """The packets that are needed, in order.
+    def needed(self, packets: Iterator[Any], time_of: Callable[[Any], float]) -> Iterator[Any]:
+        """Yield the packets to decode, in order.
 
-        The leap goes to the first key frame from the time on that is wanted; where that is too far away, to the last
-        one before it.
+        Decoding resumes at the first key frame at or after the wanted time; where that lies beyond `lookahead_s`, at
+        the last key frame before the wanted time.
 
         Args:
             packets: in the decoder's order; errors they raise pass through.
-            time_of: a packet's time, s since the first frame; NaN where it has none.
+            time_of: returns a packet's time, s since the first frame; NaN where it has none.
         """
         for packet in packets:
-            until = self._not_before_s()
-            if not time_of(packet) < until:
+            wanted_s = self._not_before_s()
+            if not time_of(packet) < wanted_s:
                 yield packet
                 continue
-            held, landing = [packet], 0
+            held, resume_at = [packet], 0
             for later in packets:
                 held.append(later)
                 if later.is_keyframe:
-                    landing = len(held) - 1
-                if time_of(later) >= until + (0 if later.is_keyframe else _BEYOND_S):
+                    resume_at = len(held) - 1
+                if time_of(later) >= wanted_s + (0 if later.is_keyframe else self._lookahead_s):
                     break
-            if landing:
-                self.dropped += landing
-                self.landed_s = time_of(held[landing])
-            yield from held[landing:]
+            if resume_at:
+                self.skipped_packets += resume_at
+                self.resumed_s = time_of(held[resume_at])
+            yield from held[resume_at:]

@@ -1,4 +1,4 @@
-"""The right reader for a path: a video file, or a folder of images."""
+"""Open a video file or a folder of images with the reader that fits."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["open_frames"]
 
 
 def open_frames(path: str | Path, *, threads: int = 0) -> FrameSource:
-    """A video file or a folder of images, ready to iterate.
+    """Open a video file or a folder of images.
 
     Args:
         path: video file in any format FFmpeg reads, or a folder with *.jpg, *.png, *.bmp, *.tif or *.webp files.
         threads: decoding threads for a video; 0 leaves it to the decoder.
 
     Raises:
-        DataError: nothing there, or nothing in it that can be read as a frame.
+        DataError: there is no such file or folder, or no frame in it can be read.
     """
     path = Path(path)
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""Stages of a pipeline that overlap: an iterator that runs ahead in a thread, by a bounded number of items."""
+"""Overlap the stages of a pipeline: run an iterator ahead in a thread, by a bounded number of items."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Any, TypeVar
 __all__ = ["prefetch"]
 
 _Item = TypeVar("_Item")
-_POLL_S = 0.05
-_LEAVE_S = 5.0
+# How often a full queue checks whether the consumer has left, and how long the consumer waits for the thread to end.
+_POLL_S, _JOIN_S = 0.05, 5.0
 
 
 def prefetch(items: Iterable[_Item], depth: int) -> Iterator[_Item]:
-    """The same items, in the same order, made ahead of their use in a thread.
+    """Yield the same items in the same order, computed ahead of their use in a thread.
 
-    What the iterable raises is raised here, after the items before it. When this iterator is closed or abandoned the
-    thread stops at its next item.
+    An exception of the iterable is raised here, after the items before it. When this iterator is closed or abandoned,
+    the thread stops at its next item.
 
     Args:
-        items: run in the thread, and closed there if it can be.
-        depth: how many items may wait, at least 1.
+        items: iterated in the thread, and closed there if it has a `close` method.
+        depth: greatest number of items that wait, at least 1.
     """
     waiting: queue.Queue[tuple[str, Any]] = queue.Queue(max(1, depth))
     stop = threading.Event()
@@ -41,7 +41,7 @@ def prefetch(items: Iterable[_Item], depth: int) -> Iterator[_Item]:
                 if stop.is_set():
                     break
             put("end", None)
-        # Whatever it is, it belongs to who iterates, not to this thread.
+        # Every exception is passed on to the consumer.
         except BaseException as error:
             put("error", error)
         finally:
@@ -61,4 +61,4 @@ def prefetch(items: Iterable[_Item], depth: int) -> Iterator[_Item]:
             yield value
     finally:
         stop.set()
-        thread.join(_LEAVE_S)
+        thread.join(_JOIN_S)

@@ -1,7 +1,7 @@
-"""Camera streams: frames from a URL, read once, for as long as they come.
+"""Camera streams: frames from a URL, read once, until the stream ends.
 
-Unlike a file a stream cannot be started again, has no length, may stop sending without ending, and may change its
-resolution while it runs. Each of these ends the iteration in a way that `VideoStream` can tell afterwards.
+Unlike a file, a stream cannot be read again, has no length, may stop sending without ending, and may change its
+resolution while it runs. `VideoStream.failure` says afterwards why an iteration broke off.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from labelgen.media.frames import Frame, always
 __all__ = ["VideoStream", "is_stream_url"]
 
 _PROTOCOLS = ("http", "https", "rtsp", "rtmp", "rtp", "udp", "tcp", "srt")
-# What these protocols need below them; never the file system.
+# The protocols and what they are built on. The file system is not among them.
 _OPEN_OPTIONS = {"protocol_whitelist": ",".join([*_PROTOCOLS, "tls", "httpproxy", "crypto"]), "rtsp_transport": "tcp"}
 
 
 def is_stream_url(source: str) -> bool:
-    """Whether a source is a URL that FFmpeg reads over the network."""
+    """Return whether a source is a URL of a protocol that FFmpeg reads over the network."""
     match = re.match(r"([a-z]+)://", source.lower())
     return match is not None and match[1] in _PROTOCOLS
 
@@ -41,16 +41,15 @@ class VideoStream:
     Frames that the camera or the network drops leave a jump in the time stamps and are counted in `problems`.
 
     Args:
-        url: of one of the protocols above.
-        duration_s: stop after this much of the stream, or this much of waiting; None goes on until it ends.
-        stall_s: seconds without data after which it counts as stalled.
+        url: of protocol http, https, rtsp, rtmp, rtp, udp, tcp or srt.
+        duration_s: stop after this much of the stream, or after waiting that long, s; None reads until it ends.
+        stall_s: time without data after which the stream counts as stalled, s.
 
     Attributes:
-        failure: why the last iteration ended before its time, as an error to raise; None where all went well or the
-            stream simply ended.
+        failure: the error that broke off the last iteration; None where the stream ended or was left on time.
 
     Raises:
-        DataError: nothing answers, or what answers is no video.
+        DataError: nothing answers at the address, or it sends no video.
     """
 
     frame_count: int | None = None
@@ -87,10 +86,10 @@ class VideoStream:
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
     ) -> Iterator[Frame]:
-        """The wanted frames; see `FrameSource.frames`. It can be called once: what has come has gone.
+        """Return the wanted frames; see `FrameSource.frames`. It can be called once.
 
         Raises:
-            DataError: called again.
+            DataError: it is called again.
         """
         if self._begun:
             raise DataError(f"stream {self.url}: it can be read only once")
@@ -100,16 +99,16 @@ class VideoStream:
             for number, decoded in enumerate(itertools.chain([self._first], self._decoded)):
                 time_s = self._time(decoded, number)
                 if (decoded.width, decoded.height) != self.size_wh:
-                    now, was = ("{}x{}".format(*wh) for wh in ((decoded.width, decoded.height), self.size_wh))
+                    new, old = ("{}x{}".format(*wh) for wh in ((decoded.width, decoded.height), self.size_wh))
                     self.failure = DataError(
-                        f"stream {self.url}: its resolution changed from {was} to {now} at frame {number} "
+                        f"stream {self.url}: its resolution changed from {old} to {new} at frame {number} "
                         f"({time_s:.1f} s); the calibration no longer fits, so measuring ended there"
                     )
                     return
                 if self.fps and time_s - latest > 1.5 / self.fps:
                     dropped += round((time_s - latest) * self.fps) - 1
                 latest = max(latest, time_s)
-                if self._over(time_s):
+                if self._is_over(time_s):
                     return
                 if wanted(number):
                     yield Frame(number, time_s, _image(decoded))
@@ -125,27 +124,27 @@ class VideoStream:
             return number / self.fps if self.fps else math.nan
         return float((decoded.pts - self._first.pts) * self._base)
 
-    def _over(self, time_s: float) -> bool:
+    def _is_over(self, time_s: float) -> bool:
         if self._duration_s is None:
             return False
         waited = time.monotonic() - self._started_s
-        # A stream that trickles would never come to its end by its own clock.
+        # The time stamps of a stream that sends too slowly would never reach the end.
         return time_s >= self._duration_s or waited > self._duration_s + self._stall_s
 
     def _decode(self, stream: Any) -> Iterator[Any]:
-        """Frames as they come; a damaged packet is skipped, and what ends the stream is kept in `failure`."""
-        damaged, seen = 0, 0
+        """Yield decoded frames; skip damaged packets, and keep in `failure` what broke the stream off."""
+        damaged, decoded_count = 0, 0
         packets = self._container.demux(stream)
         while True:
             try:
                 packet = next(packets, None)
             except ExitError:
                 self.failure = DataError(
-                    f"stream {self.url}: stalled, no data for {self._stall_s:g} s after {seen} frames"
+                    f"stream {self.url}: stalled, no data for {self._stall_s:g} s after {decoded_count} frames"
                 )
                 break
             except (FFmpegError, EOFError):
-                break  # a closed connection is how many streams end
+                break  # many streams end with a closed connection
             if packet is None:
                 break
             try:
@@ -154,7 +153,7 @@ class VideoStream:
                 damaged += 1
                 continue
             for frame in decoded:
-                seen += 1
+                decoded_count += 1
                 yield frame
         if damaged:
             self.problems.append(f"{damaged} damaged packets skipped")

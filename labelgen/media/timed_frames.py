@@ -1,4 +1,4 @@
-"""Frames with time stamps, up to a duration, read ahead in a thread: what speeds are measured on."""
+"""Frames with time stamps, up to a duration, read ahead in a thread: the input of speed measurement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labelgen.media.prefetch import prefetch
 
 __all__ = ["TimedFrames"]
 
-_AHEAD = 6
+_FRAMES_AHEAD = 6
 
 
 class TimedFrames:
@@ -22,9 +22,9 @@ class TimedFrames:
     Args:
         frames: a file, a folder or a stream.
         fps: frame rate for frames that have no time stamps of their own; None where none is known.
-        duration_s: leave out what comes after this many seconds; None takes all.
-        lead_in: called with the coming frames before the first one is given; what it takes of them is not given.
-            Streams, which cannot be begun anew, let a background model learn this way.
+        duration_s: frames at or after this time are left out, s; None takes all.
+        lead_in: called once with the iterator of frames before the first one is yielded; frames it consumes are not
+            yielded. This is how a background model is primed on a stream, which cannot be read twice.
     """
 
     def __init__(
@@ -39,62 +39,63 @@ class TimedFrames:
 
     @property
     def name(self) -> str:
-        """That of the source."""
+        """Name of the source."""
         return self._frames.name
 
     @property
     def path(self) -> Path:
-        """That of the source."""
+        """Path of the source."""
         return self._frames.path
 
     @property
     def size_wh(self) -> tuple[int, int]:
-        """Size of its frames, px."""
+        """Size of the frames, px."""
         return self._frames.size_wh
 
     @property
     def frame_count(self) -> int | None:
-        """How many frames are to be expected; None where that is not known."""
+        """Number of frames to expect; None where it is unknown."""
         count = self._frames.frame_count
         if self._duration_s is None or self.fps is None:
             return count
-        most = round(self._duration_s * self.fps)
-        return most if count is None else min(count, most)
+        limit = round(self._duration_s * self.fps)
+        return limit if count is None else min(count, limit)
 
     @property
     def problems(self) -> list[str]:
-        """Those of the source."""
+        """Problems of the source."""
         return self._frames.problems
 
     @property
     def is_live(self) -> bool:
-        """That of the source."""
+        """Whether the source is live."""
         return self._frames.is_live
 
     @property
     def failure(self) -> Exception | None:
-        """That of the source."""
+        """Failure of the source."""
         return self._frames.failure
 
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
     ) -> Iterator[Frame]:
-        """The wanted frames with their times; see `FrameSource.frames`.
+        """Return the wanted frames with their times; see `FrameSource.frames`.
 
         Raises:
-            DataError: they have no time stamps, and no frame rate is known.
+            DataError: the frames have no time stamps and no frame rate is known.
         """
-        return prefetch(self._timed(wanted), _AHEAD)
+        return prefetch(self._timed(wanted), _FRAMES_AHEAD)
 
     def _timed(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        coming = self._frames.frames(wanted)
+        frames = self._frames.frames(wanted)
         if self._lead_in is not None:
-            self._lead_in(coming)
-        for frame in coming:
+            self._lead_in(frames)
+        for frame in frames:
             if not np.isfinite(frame.time_s):
                 if self.fps is None:
                     raise DataError(
-                        f"{self._frames.path}: its frames have no time stamps, so there are no speeds; give --fps"
+                        f"{self._frames.path}: its frames have no time stamps, so there are no speeds; give fps",
+                        parameter="fps",
                     )
                 frame = Frame(frame.number, frame.number / self.fps, frame.image, frame.name)
             if self._duration_s is not None and frame.time_s >= self._duration_s:

@@ -1,6 +1,6 @@
-"""Video files through PyAV: sequential, with each frame's own time stamp, whatever state the file is in.
+"""Read video files through PyAV: in sequence, with each frame's own time stamp, damaged files included.
 
-OpenCV's reader is no option: it aborts the whole process on some valid files, and gives no time stamps to rely on.
+OpenCV's reader is not used: it aborts the process on some valid files, and its time stamps are unreliable.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.media.frames import Frame, LazyFrame, always, shrunk
-from labelgen.media.keyframe_seek import Leap
+from labelgen.media.frames import Frame, LazyFrame, always, downscale
+from labelgen.media.keyframe_seek import KeyframeSeek
 
 __all__ = ["VideoFile"]
 
-# FFmpeg reads text as a terminal recording and follows play lists to other files and servers: neither is a video file.
+# Not video files: text, which FFmpeg renders as a terminal recording, and play lists, which lead to other addresses.
 _NOT_A_VIDEO = {"tty", "bin", "xbin", "adf", "idf", "hls", "dash", "webm_dash_manifest", "concat", "sdp", "rtsp", "sap"}
 _OPEN_OPTIONS = {
     "protocol_whitelist": "file",
     "format_whitelist": ",".join(sorted(av.formats_available - _NOT_A_VIDEO)),
 }
-# An announced count that was only computed from duration times rate may be off by this many frames and this share.
+# A frame count computed from duration times rate may be off by this many frames, or by this share of them.
 _COUNT_SLACK = (3, 0.02)
-# Formats whose first plane is the picture's brightness in bytes; from 16 to 235 unless it is said to be of full range.
-_WITH_BRIGHTNESS = {f"yuv{full}{rate}p" for full in ("", "j") for rate in (420, 422, 444)} | {"nv12"}
+# Pixel formats whose first plane is luma in bytes, from 16 to 235 unless the stream declares full range.
+_LUMA_FORMATS = {f"yuv{full}{rate}p" for full in ("", "j") for rate in (420, 422, 444)} | {"nv12"}
 _FULL_RANGE = 2
-_STRETCH = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
-_QUARTER_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
+_TO_FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
+_ROTATIONS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
 
 
 class VideoFile:
@@ -66,12 +66,12 @@ class VideoFile:
             stream = self._stream(container)
             self.fps = _positive(stream.average_rate) or _positive(stream.guessed_rate)
             self.frame_count, self._count_is_exact = _announced(stream, container, self.fps)
-            first = next(self._decode(container.demux(stream), stream, _Tally()), None)
+            first = next(self._decode(container.demux(stream), stream, _ProblemCounts()), None)
             if first is None:
                 raise DataError(f"{self.path}: no frame of it can be decoded; the file is damaged or cut off")
             self._coded_wh = (int(first.width), int(first.height))
-            self._turn = _quarter_turn(first)
-            self.size_wh = self._coded_wh[::-1] if self._turn in (90, 270) else self._coded_wh
+            self._degrees = _rotation(first)
+            self.size_wh = self._coded_wh[::-1] if self._degrees in (90, 270) else self._coded_wh
 
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
@@ -86,16 +86,16 @@ class VideoFile:
                 if wanted(number):
                     yield Frame(number, time_s, self._image(decoded, reformatter))
             return
-        leap = Leap(not_before_s)
-        for number, time_s, decoded in self._pass(leap):
-            if wanted(number) and not time_s < leap.landed_s:
-                convert, take_greys = partial(self._image, decoded, reformatter), partial(self._greys, decoded)
-                yield LazyFrame(number, time_s, convert, take_greys)
+        seek = KeyframeSeek(not_before_s)
+        for number, time_s, decoded in self._pass(seek):
+            if wanted(number) and not time_s < seek.resumed_s:
+                convert, read_grey = partial(self._image, decoded, reformatter), partial(self._grey, decoded)
+                yield LazyFrame(number, time_s, convert, read_grey)
 
-    def _pass(self, leap: Leap | None) -> Iterator[tuple[int, float, Any]]:
-        """Number, time in s and frame as decoded of all that a pass over the file decodes."""
+    def _pass(self, seek: KeyframeSeek | None) -> Iterator[tuple[int, float, Any]]:
+        """Yield number, time in s and decoder's frame of every frame that one pass over the file decodes."""
         self.problems = []
-        tally = _Tally()
+        counts = _ProblemCounts()
         first_pts: int | None = None
         latest = -math.inf
         number = -1
@@ -107,22 +107,22 @@ class VideoFile:
                 return math.nan if thing.pts is None or first_pts is None else (thing.pts - first_pts) * base
 
             packets = container.demux(stream)
-            if leap is not None:
-                packets = leap.over(packets, time_of)
-            for count, decoded in enumerate(self._decode(packets, stream, tally)):
-                number = count + (leap.dropped if leap is not None else 0)
+            if seek is not None:
+                packets = seek.needed(packets, time_of)
+            for count, decoded in enumerate(self._decode(packets, stream, counts)):
+                number = count + (seek.skipped_packets if seek is not None else 0)
                 if number == 0:
                     first_pts = decoded.pts
                 if (decoded.width, decoded.height) != self._coded_wh:
-                    tally.other_size(number, (decoded.width, decoded.height))
+                    counts.other_size(number, (decoded.width, decoded.height))
                     continue
                 time_s = time_of(decoded)
                 if math.isnan(time_s) and self.fps:
                     time_s = number / self.fps
-                tally.backwards += time_s < latest
+                counts.backwards += time_s < latest
                 latest = max(latest, time_s)
                 yield number, time_s, decoded
-        self.problems = tally.problems(number + 1, self.frame_count, self._count_is_exact, self.size_wh)
+        self.problems = counts.problems(number + 1, self.frame_count, self._count_is_exact, self.size_wh)
 
     def _open(self) -> AbstractContextManager[Any]:
         try:
@@ -149,48 +149,48 @@ class VideoFile:
         streams[0].codec_context.thread_count = self._threads
         return streams[0]
 
-    def _decode(self, packets: Iterator[Any], stream: Any, tally: _Tally) -> Iterator[Any]:
-        """Frames as FFmpeg decodes them; damaged packets and a broken end are noted in the tally."""
-        seen = 0
+    def _decode(self, packets: Iterator[Any], stream: Any, counts: _ProblemCounts) -> Iterator[Any]:
+        """Yield frames as FFmpeg decodes them; count damaged packets and a broken end."""
+        frame_count = 0
         while True:
             try:
                 packet = next(packets, None)
             except (FFmpegError, EOFError) as error:
-                tally.end = getattr(error, "strerror", None) or "unreadable data"
-                # What the decoder still holds is good.
+                counts.end = getattr(error, "strerror", None) or "unreadable data"
+                # The frames that the decoder still holds are good.
                 packet = None
-            if packet is None and tally.end is None:
+            if packet is None and counts.end is None:
                 return
             try:
                 decoded = stream.codec_context.decode(packet) if packet is None else packet.decode()
             except (FFmpegError, EOFError):
-                tally.damaged_packet(seen)
+                counts.damaged_packet(frame_count)
                 decoded = []
             for frame in decoded:
-                tally.damaged_frame(seen, bool(frame.is_corrupt))
-                seen += 1
+                counts.damaged_frame(frame_count, bool(frame.is_corrupt))
+                frame_count += 1
                 yield frame
             if packet is None:
                 return
 
     def _image(self, decoded: Any, reformatter: Any) -> NDArray[np.uint8]:
         image = reformatter.reformat(decoded, format="bgr24", threads=self._threads or None).to_ndarray()
-        return _turned(image, self._turn)
+        return _rotate(image, self._degrees)
 
-    def _greys(self, decoded: Any, factor: int) -> NDArray[np.uint8] | None:
-        """The decoder's brightness at a factor, stretched as the colours are; None where it has none of 8 bits."""
-        if decoded.format.name not in _WITH_BRIGHTNESS:
+    def _grey(self, decoded: Any, factor: int) -> NDArray[np.uint8] | None:
+        """Return the decoder's luma, downscaled and in full range; None where it has no luma plane of 8 bits."""
+        if decoded.format.name not in _LUMA_FORMATS:
             return None
         plane = decoded.planes[0]
-        greys = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: decoded.height, : decoded.width]
-        greys = shrunk(greys, factor)
+        grey = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: decoded.height, : decoded.width]
+        grey = downscale(grey, factor)
         if decoded.color_range != _FULL_RANGE and not decoded.format.name.startswith("yuvj"):
-            greys = np.asarray(cv2.LUT(greys, _STRETCH), dtype=np.uint8)
-        return _turned(greys, self._turn)
+            grey = np.asarray(cv2.LUT(grey, _TO_FULL_RANGE), dtype=np.uint8)
+        return _rotate(grey, self._degrees)
 
 
-class _Tally:
-    """What went wrong during one pass over a file."""
+class _ProblemCounts:
+    """Counts of what went wrong in one pass over a file."""
 
     def __init__(self) -> None:
         self.end: str | None = None
@@ -214,31 +214,31 @@ class _Tally:
         self._sizes += 1
 
     def problems(self, count: int, announced: int | None, exact: bool, size_wh: tuple[int, int]) -> list[str]:
-        """One line per kind of trouble, given how many frames came and how many were announced."""
-        found = []
+        """Describe each kind of problem in one line, given how many frames came and how many were announced."""
+        lines = []
         if announced is not None:
             slack = 0 if exact else max(_COUNT_SLACK[0], int(announced * _COUNT_SLACK[1]))
-            # Packets that gave no frame are told below; they do not make the file a truncated one.
+            # Damaged packets are reported below; they are no sign that the file is truncated.
             if count + self._packets < announced - slack:
                 about = "" if exact else "about "
-                found.append(
+                lines.append(
                     f"ended after {count} of {about}{announced} announced frames: the file is truncated or damaged"
                 )
         if self.end is not None:
-            found.append(f"reading stopped after frame {count - 1}: {self.end.lower()}")
+            lines.append(f"reading stopped after frame {count - 1}: {self.end.lower()}")
         if self._packets:
-            found.append(f"{_many(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
+            lines.append(f"{_many(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
         if self._frames:
-            found.append(f"{_many(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})")
+            lines.append(f"{_many(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})")
         if self._sizes:
-            now, was = ("{}x{}".format(*wh) for wh in (self._other_wh, size_wh))
-            found.append(
+            new, old = ("{}x{}".format(*wh) for wh in (self._other_wh, size_wh))
+            lines.append(
                 f"{_many(self._sizes, 'frame')} of another size skipped (first: frame {self._first_size}, "
-                f"{now} instead of {was})"
+                f"{new} instead of {old})"
             )
         if self.backwards:
-            found.append(f"{_many(self.backwards, 'time stamp')} before an earlier frame's")
-        return found
+            lines.append(f"{_many(self.backwards, 'time stamp')} before an earlier frame's")
+        return lines
 
 
 def _many(count: int, noun: str) -> str:
@@ -250,7 +250,7 @@ def _positive(rate: Any) -> float | None:
 
 
 def _announced(stream: Any, container: Any, fps: float | None) -> tuple[int | None, bool]:
-    """How many frames the file announces, and whether it names the number itself rather than a duration."""
+    """Return how many frames the file announces, and whether it states the number itself rather than a duration."""
     if stream.frames > 0:
         return int(stream.frames), True
     seconds = None
@@ -263,11 +263,11 @@ def _announced(stream: Any, container: Any, fps: float | None) -> tuple[int | No
     return max(1, round(seconds * fps)), False
 
 
-def _quarter_turn(decoded: Any) -> int:
-    """Counter-clockwise turn, degrees, that the file asks for before showing: 0, 90, 180 or 270."""
+def _rotation(decoded: Any) -> int:
+    """Return the rotation that the file asks for, degrees counter-clockwise: 0, 90, 180 or 270."""
     return round(int(decoded.rotation) / 90) * 90 % 360
 
 
-def _turned(picture: NDArray[np.uint8], degrees: int) -> NDArray[np.uint8]:
-    """A picture (H, W[, C]) turned counter-clockwise by quarter turns."""
-    return np.ascontiguousarray(cv2.rotate(picture, _QUARTER_TURNS[degrees]) if degrees else picture)
+def _rotate(picture: NDArray[np.uint8], degrees: int) -> NDArray[np.uint8]:
+    """Rotate a picture (H, W[, C]) counter-clockwise by 0, 90, 180 or 270 degrees."""
+    return np.ascontiguousarray(cv2.rotate(picture, _ROTATIONS[degrees]) if degrees else picture)

@@ -1,4 +1,4 @@
-"""Writing a video that stays playable when the writing is interrupted.
+"""Write a video that stays playable when the writing is interrupted.
 
 An AVI file without B-frames holds complete frames in the order they were written; players find them even when the
 index at the end is missing.
@@ -19,15 +19,14 @@ from labelgen.errors import OutputError
 
 __all__ = ["VideoWriter"]
 
-
-# Bits go where the picture is busy rather than into the noise of an even road, as in cameras' own encoders, and there
-# are no cuts to look for: this takes less time and half the space.
-_PLAIN_H264 = "aq-mode=0:weightp=0:scenecut=0"
+# Without adaptive quantisation the encoder spends no bits on the noise of an even road, as cameras' own encoders do.
+# There are no scene cuts to detect. Both take less time and half the space.
+_X264_PARAMETERS = "aq-mode=0:weightp=0:scenecut=0"
 
 
 def _codecs(crf: int, preset: str) -> tuple[tuple[str, dict[str, str]], ...]:
     return (
-        ("libx264", {"crf": str(crf), "preset": preset, "bf": "0", "threads": "1", "x264-params": _PLAIN_H264}),
+        ("libx264", {"crf": str(crf), "preset": preset, "bf": "0", "threads": "1", "x264-params": _X264_PARAMETERS}),
         ("mpeg4", {"qscale": str(max(2, (crf - 12) // 3)), "bf": "0"}),
     )
 
@@ -38,12 +37,12 @@ class VideoWriter:
     Args:
         path: ends in .avi.
         fps: frames per second.
-        size_wh: both even.
-        crf: H.264's quality; lower is better.
-        preset: H.264's care; slower ones take fewer bytes for the same quality.
+        size_wh: width and height of the frames, px; both even.
+        crf: constant rate factor of H.264; lower means better quality and more bytes.
+        preset: speed preset of H.264; slower presets take fewer bytes for the same quality.
 
     Raises:
-        OutputError: the file cannot be written, or the size is odd.
+        OutputError: the file cannot be written, or the width or height is odd.
     """
 
     def __init__(
@@ -52,8 +51,11 @@ class VideoWriter:
         import av
 
         if size_wh[0] % 2 or size_wh[1] % 2:
-            raise OutputError(f"--size {size_wh[0]}x{size_wh[1]}: video frames need an even width and height")
-        name, options = next((c for c in _codecs(crf, preset) if c[0] in av.codecs_available), _codecs(crf, preset)[-1])
+            raise OutputError(
+                f"size {size_wh[0]}x{size_wh[1]}: video frames need an even width and height", parameter="size_wh"
+            )
+        codecs = _codecs(crf, preset)
+        name, options = next((codec for codec in codecs if codec[0] in av.codecs_available), codecs[-1])
         try:
             self._container = av.open(str(path), "w", format="avi")
         except OSError as err:
@@ -67,7 +69,11 @@ class VideoWriter:
         self._stream, self._av, self._count, self._path = stream, av, 0, path
 
     def write(self, frame: NDArray[np.uint8]) -> None:
-        """Append a frame (H, W, 3) BGR."""
+        """Append a frame (H, W, 3) uint8 BGR.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
         planes = cv2.cvtColor(frame, cv2.COLOR_BGR2YUV_I420)
         picture = self._av.VideoFrame.from_ndarray(planes, format="yuv420p")
         picture.pts = self._count

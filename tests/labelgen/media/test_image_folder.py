@@ -58,7 +58,7 @@ def test_paths_that_lead_nowhere(tmp_path: Path, name: str) -> None:
             read(tmp_path / name)
         str(caught.value).encode()
     with pytest.raises(DataError, match=r"^crop 7: "):
-        read_image(tmp_path / name, what="crop 7")
+        read_image(tmp_path / name, label="crop 7")
 
 
 def test_flags_decide_what_comes_back(tmp_path: Path) -> None:

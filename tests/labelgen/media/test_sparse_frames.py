@@ -1,17 +1,18 @@
-"""A few of a video's frames for less than all of them cost: leaps from key frame to key frame, pictures on demand."""
+"""A few frames of a video without decoding all: seeks from key frame to key frame, pictures on demand."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
 import numpy as np
 import pytest
 
-from labelgen.media.frames import Frame, FrameSource, grey_of, shrunk
-from labelgen.media.keyframe_seek import Leap
+from labelgen.media.frames import Frame, FrameSource, downscale, to_grey
+from labelgen.media.keyframe_seek import KeyframeSeek
 from labelgen.media.open_frames import open_frames
 from labelgen.media.video_reader import VideoFile
 
@@ -36,7 +37,7 @@ def write_video(path: Path, count: int, key_every: int, *, codec: str = "mpeg4",
 
 def shown(image: np.ndarray) -> int:
     """The number of the frame in a picture."""
-    row = grey_of(image)[16:48].mean(axis=0)
+    row = to_grey(image)[16:48].mean(axis=0)
     return round(float(np.average(np.arange(len(row)), weights=np.maximum(row - 150, 0))) - 3.5)
 
 
@@ -54,32 +55,32 @@ def walk(source: FrameSource, work_s: float, rest_s: float) -> list[Frame]:
 
 @pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
 @pytest.mark.parametrize("key_every", [5, 23, 1000])
-def test_frames_after_a_leap_have_their_own_number_time_and_picture(tmp_path: Path, codec: str, key_every: int) -> None:
+def test_frames_after_a_seek_have_their_own_number_time_and_picture(tmp_path: Path, codec: str, key_every: int) -> None:
     source = VideoFile(write_video(tmp_path / "a.mp4", 300, key_every, codec=codec))
     frames = walk(source, 2.0, 3.0)
     assert [shown(f.image) for f in frames] == [f.number for f in frames]
     np.testing.assert_allclose([f.time_s for f in frames], [f.number / RATE for f in frames], atol=1e-6)
     gaps = np.diff([f.number for f in frames])
     assert set(gaps[gaps < 30]) == {1}
-    # What is asked for is kept to, and leaps go no farther than to the next key frame.
+    # No frame comes before the wanted time, and seeks go no farther than to the next key frame.
     assert gaps[gaps > 1].min() >= 30
     assert gaps.max() <= 30 + min(key_every, 100)
     assert (gaps > 1).sum() >= 3
     assert source.problems == []
 
 
-def test_a_leap_leaves_packets_undecoded(tmp_path: Path) -> None:
+def test_a_seek_leaves_packets_undecoded(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mp4", 300, 10)
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
-        leap = Leap(lambda: 12.0)
-        times = [
-            float(p.pts * stream.time_base)
-            for p in leap.over(container.demux(stream), lambda p: np.nan if p.pts is None else p.pts * stream.time_base)
-            if p.pts is not None
-        ]
-    assert leap.dropped == 120
-    assert leap.landed_s == 12.0
+        seek = KeyframeSeek(lambda: 12.0)
+
+        def time_of(packet: Any) -> float:
+            return np.nan if packet.pts is None else float(packet.pts * stream.time_base)
+
+        times = [time_of(p) for p in seek.needed(container.demux(stream), time_of) if p.pts is not None]
+    assert seek.skipped_packets == 120
+    assert seek.resumed_s == 12.0
     assert min(times) == 12.0
     assert len(times) == 180
 
@@ -104,10 +105,10 @@ def test_greys_are_those_of_the_picture(tmp_path: Path, full_range: bool) -> Non
     whole = list(source.frames())
     for lazy, eager in zip(source.frames(lambda n: True, lambda: 0.0), whole, strict=True):
         assert lazy.grey.shape == (64, 320)
-        np.testing.assert_allclose(lazy.grey.astype(float), grey_of(eager.image), atol=4)
+        np.testing.assert_allclose(lazy.grey.astype(float), to_grey(eager.image), atol=4)
         assert abs(float(lazy.grey.mean()) - float(eager.grey.mean())) < 2
         assert lazy.small_grey(3).shape == (21, 106)
         for factor in (1, 3):
-            np.testing.assert_allclose(lazy.small_grey(factor), shrunk(lazy.grey, factor), atol=1)
-            np.testing.assert_array_equal(eager.small_grey(factor), shrunk(eager.grey, factor))
+            np.testing.assert_allclose(lazy.small_grey(factor), downscale(lazy.grey, factor), atol=1)
+            np.testing.assert_array_equal(eager.small_grey(factor), downscale(eager.grey, factor))
         np.testing.assert_array_equal(lazy.image, eager.image)
