@@ -16,9 +16,9 @@ from labelgen.audit.contact_sheets import frame_sheets, label_sheets, save_pictu
 from labelgen.audit.originals import Originals
 from labelgen.audit.statistics import draw_statistics
 from labelgen.audit.step_figures import mask_label_figure, rectification_figure
+from labelgen.choices import Rule
 from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError, LabelgenError
-from labelgen.geometry.outline_label import Rule
 from labelgen.masks import create_mask_source, masked_frames, prime_masks
 from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardSet, summarise

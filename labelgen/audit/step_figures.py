@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labelgen.choices import Rule
 from labelgen.drawing import (
     CYAN,
     GREEN,
@@ -25,7 +26,7 @@ from labelgen.drawing import (
 from labelgen.geometry.box_codec import decode_boxes
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import apply_homography
-from labelgen.geometry.outline_label import Rule, label_outlines, rectified_outline
+from labelgen.geometry.outline_label import label_outlines, rectified_outline
 from labelgen.geometry.rectification import Rectification
 
 __all__ = ["mask_label_figure", "rectification_figure"]

@@ -78,11 +78,10 @@ def bcs_masks(
     interrupted run goes on where it stopped when the same command is given again.
     """
     from labelgen.calibration.complete_scene import complete_scene
+    from labelgen.choices import Pair, Region, Rule, parse_size
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene_parts
     from labelgen.errors import LabelgenError
-    from labelgen.geometry.outline_label import Rule
-    from labelgen.geometry.vanishing_pair import Pair, Region, parse_size
     from labelgen.jobs.runner import run_job
     from labelgen.jobs.video import MaskSettings, video_job
     from labelgen.labeling.from_masks import LabelLimits

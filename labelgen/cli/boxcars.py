@@ -55,9 +55,9 @@ def boxcars(
     Every crop becomes a label or is listed with the reason in rejects.jsonl. An interrupted run goes on where it
     stopped when the same command is given again.
     """
+    from labelgen.choices import Pair, parse_size
     from labelgen.datasets.boxcars116k import BoxCars
     from labelgen.datasets.manifest import find_root, load_manifest
-    from labelgen.geometry.vanishing_pair import Pair, parse_size
     from labelgen.jobs.boxcars import boxcars_job
     from labelgen.jobs.runner import run_job
     from labelgen.shards.image_codec import ImageCodec

@@ -22,13 +22,13 @@ def demo(
 
     Needs no data set and no weights; takes a minute or two.
     """
+    from labelgen.choices import parse_size
     from labelgen.cli.audit import audit
     from labelgen.cli.bcs_masks import bcs_masks
     from labelgen.cli.boxcars import boxcars
     from labelgen.cli.shards import validate
     from labelgen.datasets.manifest import load_manifest
     from labelgen.errors import OutputError
-    from labelgen.geometry.vanishing_pair import parse_size
     from labelgen.synth.shading.lighting import Weather
     from labelgen.synth.truth.boxcars116k import write_boxcars_tree
     from labelgen.synth.truth.session import write_session

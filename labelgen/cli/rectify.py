@@ -43,12 +43,12 @@ def rectify(
     import cv2
 
     from labelgen.atomic_files import make_folder, write_atomic
+    from labelgen.choices import Pair, parse_size
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene
     from labelgen.datasets.scene_picture import read_picture
     from labelgen.errors import LabelgenError, OutputError
     from labelgen.geometry.rectification import Rectification
-    from labelgen.geometry.vanishing_pair import Pair, parse_size
 
     check_report_path(json_file, out)
     chosen_pair = Pair.parse(pair)

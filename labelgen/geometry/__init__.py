@@ -6,6 +6,7 @@ Convention, throughout:
     VP1: direction of travel; VP2: across the road; VP3: vertical; VPU: the one a rectification leaves finite.
 """
 
+from labelgen.choices import Pair, Region, Rule, parse_size
 from labelgen.geometry.box_codec import (
     EncodedBoxes,
     decode_boxes,
@@ -17,8 +18,7 @@ from labelgen.geometry.camera import Camera
 from labelgen.geometry.cuboid import cuboid_sizes, road_cuboids
 from labelgen.geometry.outline_label import (
     MaskLabels,
-    Outline,
-    Rule,
+    RectifiedOutline,
     label_outlines,
     mask_outline,
     mask_polygon,
@@ -27,15 +27,14 @@ from labelgen.geometry.outline_label import (
 from labelgen.geometry.rectification import Rectification, rectify_windows
 from labelgen.geometry.road_mask import RoadMask
 from labelgen.geometry.tangent_box import tangent_boxes, window_around
-from labelgen.geometry.vanishing_pair import Pair, Region, parse_size
 
 __all__ = [
     "Camera",
     "EncodedBoxes",
     "MaskLabels",
-    "Outline",
     "Pair",
     "Rectification",
+    "RectifiedOutline",
     "Region",
     "RoadMask",
     "Rule",

@@ -15,21 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labelgen.errors import LabelgenError
+from labelgen.choices import Rule
 from labelgen.geometry.homography import Array, bounding_boxes
 from labelgen.geometry.rectification import Rectification
 
 __all__ = [
     "MaskLabels",
-    "Outline",
-    "Rule",
+    "RectifiedOutline",
     "label_outlines",
     "mask_outline",
     "mask_polygon",
@@ -41,23 +39,8 @@ _TANGENT_SHIFT = 0.7
 _MIDDLE_HALF = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
 
 
-class Rule(StrEnum):
-    """How the two candidates for c_c become one."""
-
-    WIDER = "wider"
-    CONDITIONED = "conditioned"
-
-    @classmethod
-    def parse(cls, text: str) -> Rule:
-        """Rule from its name; LabelgenError names the known ones."""
-        for rule in cls:
-            if rule.value == text.strip().lower():
-                return rule
-        raise LabelgenError(f"--rule {text}: unknown rule; use one of {', '.join(r.value for r in cls)}")
-
-
 @dataclass(frozen=True)
-class Outline:
+class RectifiedOutline:
     """What of a rectified mask matters for its label: all its parts together.
 
     Args:
@@ -102,7 +85,7 @@ def _hull(mask: NDArray[Any], origin_px: tuple[int, int]) -> Array | None:
     return np.asarray(cv2.convexHull(points)[:, 0] + np.asarray(origin_px), dtype=np.float64)
 
 
-def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Outline | None:
+def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> RectifiedOutline | None:
     """Outline of a rectified mask (the published method).
 
     Args:
@@ -115,13 +98,13 @@ def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Out
     hull = _hull(mask, origin_px)
     if hull is None:
         return None
-    return Outline(np.concatenate([hull.min(axis=0), hull.max(axis=0) + 1]), hull + 0.5)
+    return RectifiedOutline(np.concatenate([hull.min(axis=0), hull.max(axis=0) + 1]), hull + 0.5)
 
 
 def rectified_outline(
     rectification: Rectification, mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)
-) -> Outline | None:
-    """Outline, in rectified px, of a mask given in the frame; None where none of its hull lies in the rectified image.
+) -> RectifiedOutline | None:
+    """Return the outline, in rectified px, of a mask of the frame; None where it lies outside the image.
 
     Args:
         rectification: from the frame in which the mask lies.
@@ -146,8 +129,8 @@ def mask_polygon(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Arr
     return out
 
 
-def polygon_outline(rectification: Rectification, points: Array) -> Outline | None:
-    """Outline, in rectified px, of the convex hull of frame points (K, 2); None where none of it lies inside."""
+def polygon_outline(rectification: Rectification, points: Array) -> RectifiedOutline | None:
+    """Return the outline, in rectified px, of frame points (K, 2); None where it lies outside the image."""
     inside = rectification.points(points)
     if not ((inside >= 0) & (inside <= rectification.size_wh)).all():  # NaN, beyond the horizon, is outside, too
         outer = cv2.convexHull(points.astype(np.float32))[:, 0]
@@ -155,10 +138,10 @@ def polygon_outline(rectification: Rectification, points: Array) -> Outline | No
         if len(inside) == 0:
             return None
     box = bounding_boxes(inside)
-    return Outline(box, inside) if (box[:2] < box[2:]).all() else None
+    return RectifiedOutline(box, inside) if (box[:2] < box[2:]).all() else None
 
 
-def label_outlines(outlines: Sequence[Outline], vpu: ArrayLike, rule: Rule = Rule.WIDER) -> MaskLabels:
+def label_outlines(outlines: Sequence[RectifiedOutline], vpu: ArrayLike, rule: Rule = Rule.WIDER) -> MaskLabels:
     """Labels of N masks of one rectified image.
 
     Args:

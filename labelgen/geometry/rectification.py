@@ -20,11 +20,11 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from labelgen.choices import Pair, Region
 from labelgen.errors import RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array, apply_homography, bounding_boxes, clip_polygon, translation
 from labelgen.geometry.road_mask import RoadMask
-from labelgen.geometry.vanishing_pair import Pair, Region
 
 __all__ = ["CROP_STEP", "MIN_COVERAGE", "Rectification", "rectify_windows"]
 

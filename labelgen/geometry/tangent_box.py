@@ -15,13 +15,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labelgen.choices import Pair, Rule
 from labelgen.errors import RectificationError
 from labelgen.geometry.box_codec import decode_boxes
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array, bounding_boxes
-from labelgen.geometry.outline_label import Rule, label_outlines, polygon_outline
+from labelgen.geometry.outline_label import label_outlines, polygon_outline
 from labelgen.geometry.rectification import Rectification
-from labelgen.geometry.vanishing_pair import Pair
 
 __all__ = ["tangent_boxes", "window_around"]
 

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.scene import Scene
 from labelgen.errors import LabelgenError
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.outline_label import Rule
 from labelgen.geometry.rectification import Rectification
 from labelgen.geometry.road_mask import RoadMask
-from labelgen.geometry.vanishing_pair import Pair, Region
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.labels import Sample

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.choices import Rule
 from labelgen.geometry.box_codec import decode_boxes, front_bottom_midpoints
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.cuboid import cuboid_sizes
 from labelgen.geometry.homography import Array
-from labelgen.geometry.outline_label import Outline, Rule, label_outlines, rectified_outline
+from labelgen.geometry.outline_label import RectifiedOutline, label_outlines, rectified_outline
 from labelgen.geometry.rectification import Rectification
 from labelgen.labels import Flag, Labels
 from labelgen.masks import InstanceMasks
@@ -68,7 +69,7 @@ def label_masks(
         labels, and a reject for each mask that is not among them.
     """
     rejects: list[MaskReject] = []
-    outlines: list[Outline] = []
+    outlines: list[RectifiedOutline] = []
     numbers: list[int] = []
     for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
         outline = rectified_outline(rectification, crop, (origin[0], origin[1]))

@@ -16,16 +16,17 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import DataError
+from labelgen.choices import Pair, parse_size
+from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Rectification
-from labelgen.geometry.vanishing_pair import Pair, parse_size
 from labelgen.labels import Labels, Sample, Split
 from labelgen.shards.rejects import Reject, from_json_lines
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION
 
 __all__ = ["ByteStrip", "ShardReader"]
 
+_DAMAGE = (LabelgenError, OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError, OverflowError)
 _STALE_AFTER_UNPICKLING = ("_tables", "_labels", "attributes")
 
 
@@ -106,19 +107,23 @@ class ShardReader:
         """What HDF5 and the parsers raise on flipped bits becomes one clear error."""
         try:
             yield
-        except (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError, OverflowError) as err:
+        except _DAMAGE as err:
             reason = " ".join(str(err).split()) or type(err).__name__
             raise DataError(f"{self.path}: damaged ({reason}); make it again") from None
 
     @property
     def pair(self) -> Pair:
         """Vanishing-point pair of all samples."""
-        return Pair.parse(self.attributes["pair"])
+        text = self.attributes["pair"]
+        with self._damage():
+            return Pair.parse(text)
 
     @property
     def size_wh(self) -> tuple[int, int]:
         """Size of all images, px."""
-        return parse_size(self.attributes["size"])
+        text = self.attributes["size"]
+        with self._damage():
+            return parse_size(text)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import (
     Camera,
-    Outline,
     Pair,
     Rectification,
+    RectifiedOutline,
     RoadMask,
     Rule,
     decode_boxes,
@@ -172,7 +172,9 @@ def rasterise(vertices_px: NDArray[np.float64]) -> tuple[NDArray[np.bool_], tupl
     return (x >= left[:, None]) & (x < right[:, None]), (int(low[0]), int(low[1]))
 
 
-def published_outline(rect: Rectification, mask: NDArray[np.bool_], origin_px: tuple[int, int]) -> Outline | None:
+def published_outline(
+    rect: Rectification, mask: NDArray[np.bool_], origin_px: tuple[int, int]
+) -> RectifiedOutline | None:
     """Outline by the published method: the mask's pixels rectified, then outlined."""
     return mask_outline(rect.warp_mask(mask, origin_px=origin_px))
 

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from labelgen.drawing import crop_around, draw_box3d, draw_text, tile_pictures
 from labelgen.errors import LabelgenError
 from labelgen.geometry import (
-    Outline,
     Pair,
     Rectification,
+    RectifiedOutline,
     RoadMask,
     Rule,
     decode_boxes,
@@ -181,7 +181,7 @@ def _case(
     looks: int, heading: int, near: NDArray[Any],
 ) -> Case | None:  # fmt: skip
     """The label of a drawn vehicle beside its exact one; None where it gets none."""
-    outline: Outline | None = rectified_outline(rect, drawn.mask, drawn.origin_px)
+    outline: RectifiedOutline | None = rectified_outline(rect, drawn.mask, drawn.origin_px)
     if outline is None:
         return None
     found = {rule: label_outlines([outline], rect.vpu, rule) for rule in Rule}

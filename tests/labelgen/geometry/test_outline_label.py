@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labelgen.errors import LabelgenError
-from labelgen.geometry import Outline, Rule, decode_boxes, label_outlines, mask_outline, rectified_outline
+from labelgen.geometry import RectifiedOutline, Rule, decode_boxes, label_outlines, mask_outline, rectified_outline
 from tools.studies.cuboid_labels import rasterise
 
 
@@ -19,7 +19,9 @@ def test_cc_stays_in_its_range(rule):
     low = np.floor(rng.uniform(0, 300, (5000, 2)))
     high = low + rng.integers(2, 60, (5000, 2))
     outlines = [
-        Outline(np.array([*a, *b]), np.array([a + 0.5, [b[0] - 0.5, a[1] + 0.5], b - 0.5, [a[0] + 0.5, b[1] - 0.5]]))
+        RectifiedOutline(
+            np.array([*a, *b]), np.array([a + 0.5, [b[0] - 0.5, a[1] + 0.5], b - 0.5, [a[0] + 0.5, b[1] - 0.5]])
+        )
         for a, b in zip(low, high, strict=True)
     ]
     for vpu in ((-200.3, 700.1), (150.7, 612.9), (640.1, -80.5), (120.2, -55.5)):

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from boxcars_trees import write_tree
 
+from labelgen.choices import Pair
 from labelgen.datasets.boxcars116k import BoxCars
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError
-from labelgen.geometry.vanishing_pair import Pair
 from labelgen.jobs.boxcars import boxcars_job
 from labelgen.jobs.runner import run_job
 from labelgen.labels import Split
