@@ -1,8 +1,8 @@
 """The detector for other runtimes, as ONNX.
 
-Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the card's size. Outputs `boxes` (N, 4) px,
+Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the metadata's size. Outputs `boxes` (N, 4) px,
 `scores` (N,), `cc` (N,), best first, non-maximum suppression done; `sizes` (N, 2) from models that say them, to be
-merged with c_c and boxes as `detector.model.vehicle_size` does. The card lies in the file's metadata.
+merged with c_c and boxes as `detector.model.vehicle_size` does. The metadata lies in the file's metadata.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torchvision.models.detection.image_list import ImageList
 from torchvision.ops import clip_boxes_to_image, nms
 
-from detector.checkpoint import CARD_KEY, Card, load_detector
+from detector.checkpoint import METADATA_KEY, ModelMetadata, load_model
 from detector.inference import fold_batch_norm
 from detector.model.retinanet import CcRetinaNet
 from labelgen.atomic_files import write_atomic
@@ -90,7 +90,7 @@ class FixedSizeDetector(nn.Module):
         return boxes[keep], scores[keep], *(value[keep] for value in rest)
 
 
-def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
+def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> ModelMetadata:
     """Write the detector as ONNX.
 
     Args:
@@ -111,10 +111,10 @@ def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
         import onnxscript  # noqa: F401  the exporter wants it
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
-    model, card = load_detector(checkpoint, score_thresh=score)
+    model, metadata = load_model(checkpoint, score_thresh=score)
     fold_batch_norm(model)
-    wrapped = FixedSizeDetector(model, card.size_wh).eval()
-    image = torch.rand(3, card.size_wh[1], card.size_wh[0])
+    wrapped = FixedSizeDetector(model, metadata.size_wh).eval()
+    image = torch.rand(3, metadata.size_wh[1], metadata.size_wh[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
@@ -123,9 +123,9 @@ def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> Card:
         )
     assert program is not None
     proto: Any = program.model_proto
-    proto.metadata_props.append(onnx.StringStringEntryProto(key=CARD_KEY, value=json.dumps(card.to_dict())))
+    proto.metadata_props.append(onnx.StringStringEntryProto(key=METADATA_KEY, value=json.dumps(metadata.to_dict())))
     write_atomic(out, proto.SerializeToString())
-    return card
+    return metadata
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def check_onnx(
         import onnxruntime
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
-    model, _ = load_detector(checkpoint, score_thresh=score)
+    model, _ = load_model(checkpoint, score_thresh=score)
     session = onnxruntime.InferenceSession(exported.read_bytes(), providers=["CPUExecutionProvider"])
     count, worst = 0, [0.0, 0.0, 0.0, 0.0]
     for image in images:

@@ -1,8 +1,7 @@
-"""A trained detector at work: frames in, detections out.
+"""A trained detector at work: rectified pictures in, labels with c_c and scores out.
 
-The network runs channels-last, its batch normalisation folded into its convolutions, in half precision where the
-device gains from it, and compiled where asked for. On a GPU frames are rectified on the device, too; on a CPU OpenCV
-does it.
+The network runs channels-last, with its batch normalisation folded into its convolutions, in half precision where the
+device gains from it, and compiled on request. On a GPU, frames are rectified on the device; on a CPU, by OpenCV.
 """
 
 from __future__ import annotations
@@ -21,41 +20,45 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torchvision.models._utils import IntermediateLayerGetter
 from torchvision.models.resnet import BasicBlock, Bottleneck
 
-from detector.checkpoint import Card, load_detector
+from detector.checkpoint import ModelMetadata, load_model
 from detector.device import choose_device, gains_from_half
-from detector.metrics import Found
 from detector.model.retinanet import CcRetinaNet
 from detector.model.vehicle_size import merge_sizes, scene_vector
 from labelgen.geometry import Camera, Rectification
 from labelgen.labels import Labels, Sample
 
-__all__ = ["Detector", "DeviceRectifier", "Picture", "fold_batch_norm", "to_found"]
+__all__ = ["Detector", "DeviceRectifier", "ModelInput", "fold_batch_norm", "labels_from_output", "load_detector"]
 
 _GPU_BATCH = 8
-_RUN_IN_ORDER = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
+"""Pictures per batch on a GPU: more gain little and delay the first result."""
+_SEQUENTIAL_MODULES = (nn.Sequential, IntermediateLayerGetter, BasicBlock, Bottleneck)
+"""Modules whose parts run in the order in which they are registered."""
 
 
 def fold_batch_norm(model: nn.Module) -> None:
-    """Fold batch normalisations that follow a convolution into it, in place; for inference only.
+    """Fold each batch normalisation that follows a convolution into it, in place; for inference only.
 
-    Only where the order of a module's parts is known to be the order in which they run.
+    Modules that may run their parts in another order than they list them are left as they are.
+
+    Args:
+        model: is changed, and set to evaluation where it is folded.
     """
     for parent in model.modules():
         children = list(parent.named_children())
-        if not isinstance(parent, _RUN_IN_ORDER):
+        if not isinstance(parent, _SEQUENTIAL_MODULES):
             continue
-        for (name, conv), (after, norm) in pairwise(children):
+        for (conv_name, conv), (norm_name, norm) in pairwise(children):
             if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                setattr(parent, name, fuse_conv_bn_eval(conv.eval(), norm.eval()))
-                setattr(parent, after, nn.Identity())
+                setattr(parent, conv_name, fuse_conv_bn_eval(conv.eval(), norm.eval()))
+                setattr(parent, norm_name, nn.Identity())
 
 
 class DeviceRectifier:
-    """Rectifies frames on a torch device.
+    """Rectify frames on a torch device.
 
     Args:
         rectification: with the size of its frame.
-        device: where.
+        device: where to rectify.
     """
 
     def __init__(self, rectification: Rectification, device: torch.device) -> None:
@@ -63,36 +66,36 @@ class DeviceRectifier:
         (w, h), frame = rectification.size_wh, np.asarray(rectification.frame_wh, dtype=np.float64)
         xs, ys = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
         points = rectification.points_back(np.stack([xs, ys], axis=-1))
-        # grid_sample counts from -1 to 1 between the picture's borders; what lies nowhere goes far outside.
+        # grid_sample counts from -1 to 1 between the frame's borders; points without an image go far outside.
         grid = np.nan_to_num(2 * points / frame - 1, nan=9.0, posinf=9.0, neginf=-9.0).clip(-9, 9)
         self._grid = torch.from_numpy(grid.astype(np.float32))[None].to(device)
         self._device = device
 
     def __call__(self, image: NDArray[np.uint8]) -> Tensor:
-        """(H, W, 3) uint8 BGR frame -> (3, h, w) float RGB in [0, 1]."""
+        """Rectify a frame (H, W, 3) uint8 BGR to (3, h, w) float32 RGB in [0, 1]."""
         frame = torch.from_numpy(image).to(self._device, non_blocking=True)
         frame = frame.flip(-1).permute(2, 0, 1)[None].float() / 255
         return F.grid_sample(frame, self._grid, mode="bilinear", padding_mode="zeros", align_corners=False)[0]
 
 
-def to_tensor(image: NDArray[np.uint8], device: torch.device) -> Tensor:
-    """(H, W, 3) uint8 BGR -> (3, H, W) float RGB in [0, 1]."""
+def image_to_tensor(image: NDArray[np.uint8], device: torch.device) -> Tensor:
+    """Convert an image (H, W, 3) uint8 BGR to (3, H, W) float32 RGB in [0, 1] on a device."""
     rgb = np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1))
     return torch.from_numpy(rgb).to(device).float() / 255
 
 
 class _ToHalf(nn.Module):
-    """Images in 16 bits."""
+    """Convert images to float16."""
 
     def forward(self, images: Tensor) -> Tensor:
         return images.half()
 
 
-class Picture(NamedTuple):
-    """A network's input.
+class ModelInput(NamedTuple):
+    """One rectified picture as a network takes it.
 
     Args:
-        image: (3, H, W) float RGB in [0, 1] on the device, rectified.
+        image: (3, H, W) float32 RGB in [0, 1], on the network's device.
         scene: (4,) of `detector.model.vehicle_size.scene_vector`.
     """
 
@@ -100,108 +103,129 @@ class Picture(NamedTuple):
     scene: Tensor
 
 
-def _scene(rectification: Rectification, camera: Camera) -> Tensor:
+def _scene_tensor(rectification: Rectification, camera: Camera) -> Tensor:
     return torch.from_numpy(scene_vector(rectification.matrix, rectification.vpu, rectification.pair, camera))
 
 
-def to_found(detections: dict[str, Tensor], scene: Tensor, card: Card) -> Found:
-    """A model's output for one picture as arrays.
+def labels_from_output(output: dict[str, Tensor], scene: Tensor, metadata: ModelMetadata) -> Labels:
+    """Convert a network's output for one picture to labels.
+
+    Detections without an area are left out: at the picture's border a box may have been cut to a line.
 
     Args:
-        detections: of the model.
+        output: `boxes` (N, 4) px, `scores` (N,), `cc` (N,), and `sizes` (N, 2) of networks that give them.
         scene: (4,) of `detector.model.vehicle_size.scene_vector`.
-        card: of the model.
+        metadata: of the network.
+
+    Returns:
+        at most N labels in the rectified picture, with scores, in the order of the output.
     """
-    parts = [detections["boxes"], detections["scores"][:, None], detections["cc"][:, None]]
-    parts += [detections["sizes"]] if "sizes" in detections else []
-    # In one piece: a GPU is waited for each time something is fetched from it.
+    parts = [output["boxes"], output["scores"][:, None], output["cc"][:, None]]
+    parts += [output["sizes"]] if "sizes" in output else []
+    # In one piece: each transfer from a GPU waits for it.
     table = torch.cat(parts, dim=1).detach().cpu().double()
     boxes, scores, cc, sizes = table[:, :4], table[:, 4], table[:, 5], table[:, 6:]
-    if "sizes" in detections:
-        place, weight = scene.double().cpu(), card.config.size_weight
-        cc, boxes = merge_sizes(cc, boxes, sizes, place, weight=weight, height_px=card.size_wh[1])
-    return Found(boxes.numpy(), cc.numpy(), scores.numpy())
+    if "sizes" in output:
+        cc, boxes = merge_sizes(
+            cc, boxes, sizes, scene.double().cpu(), weight=metadata.config.size_weight, height_px=metadata.size_wh[1]
+        )
+    solid = (boxes[:, :2] < boxes[:, 2:]).all(dim=1) & cc.isfinite()
+    return Labels(boxes[solid].numpy(), cc[solid].numpy(), scores=scores[solid].numpy().astype(np.float32))
 
 
 class Detector:
-    """A model set up for inference.
+    """A network set up for inference.
 
     Args:
-        model: trained; folded and moved in place.
-        card: of its checkpoint.
-        device: where to run; None for the GPU when there is one.
-        half: half precision (float16 on GPUs, bfloat16 by autocast on CPUs); None for where it gains.
-        compiled: compile the network; worth it for long videos on a GPU.
+        model: trained; it is folded and moved in place.
+        metadata: of its checkpoint.
+        device: torch device to run on; None for the GPU where there is one.
+        half: half precision (float16 on GPUs, bfloat16 by autocast on CPUs); None for where the device gains from it.
+        compiled: compile the network, which takes half a minute; worth it for long videos on a GPU.
         fold: fold batch normalisation into convolutions.
+
+    Raises:
+        LabelgenError: no such device.
     """
 
     def __init__(
-        self, model: CcRetinaNet, card: Card, *, device: str | None = None, half: bool | None = None,
+        self, model: CcRetinaNet, metadata: ModelMetadata, *, device: str | None = None, half: bool | None = None,
         compiled: bool = False, fold: bool = True,
     ) -> None:  # fmt: skip
-        self.card, self.device = card, choose_device(device)
+        self.metadata, self.device = metadata, choose_device(device)
         self.half = gains_from_half(self.device) if half is None else half
         model.eval()
         if fold:
             fold_batch_norm(model)
         self.model = model.to(self.device, memory_format=torch.channels_last)
-        self._whole_batches = compiled
+        self._fixed_batch = compiled
         if self.half and self.device.type == "cuda":
-            # Once: autocast would convert every weight anew for each batch, which takes a small network's time.
+            # Once: autocast would convert every weight again for each batch, which costs a small network's time.
             self.model.backbone = nn.Sequential(_ToHalf(), model.backbone.half())
             self.model.head = model.head.half()
         if compiled:
             self.model.backbone = torch.compile(self.model.backbone, dynamic=False)
             self.model.head = torch.compile(self.model.head, dynamic=False)
 
-    @classmethod
-    def load(cls, path: Path, *, score: float = 0.05, **options: Any) -> Detector:
-        """From a checkpoint.
-
-        Args:
-            path: the file.
-            score: least score of a detection.
-            options: as of the class.
-
-        Raises:
-            DataError: not a checkpoint of a detector.
-        """
-        model, card = load_detector(path, score_thresh=score)
-        return cls(model, card, **options)
-
     @property
     def batch_size(self) -> int:
-        """How many pictures to give at once: more than one gains on a GPU alone."""
+        """Number of pictures to give to `detect` at once: more than one is faster on a GPU alone."""
         return 1 if self.device.type == "cpu" else _GPU_BATCH
 
-    def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], Picture]:
-        """Rectifies frames, on the device where that is a GPU: `detector.speed.model_detections.Detector`."""
-        scene = _scene(rectification, camera)
+    def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], ModelInput]:
+        """Return a function that turns a frame into the network's input, for the frames of one camera.
+
+        Args:
+            rectification: of the network's pair and size (`metadata`), with the size of its frame.
+            camera: of the frames; its scale, where known, makes c_c more exact.
+
+        Returns:
+            frame (H, W, 3) uint8 BGR -> input of `detect`.
+        """
+        scene = _scene_tensor(rectification, camera)
         if self.device.type != "cpu":
             warp = DeviceRectifier(rectification, self.device)
-            return lambda frame: Picture(warp(frame), scene)
-        return lambda frame: Picture(to_tensor(rectification.warp_image(frame), self.device), scene)
+            return lambda frame: ModelInput(warp(frame), scene)
+        return lambda frame: ModelInput(image_to_tensor(rectification.warp_image(frame), self.device), scene)
 
-    def detect(self, pictures: Sequence[Picture]) -> list[Labels]:
-        """The vehicles in rectified pictures: `detector.speed.model_detections.Detector`."""
-        found = []
-        for output in self(pictures):
-            # Boxes cut at the border may have no area left.
-            solid = output[(output.boxes_xyxy[:, :2] < output.boxes_xyxy[:, 2:]).all(axis=1)]
-            found.append(Labels(solid.boxes_xyxy, solid.cc, scores=solid.scores.astype(np.float32)))
-        return found
+    def input_of_sample(self, sample: Sample) -> ModelInput:
+        """Return the network's input for a sample of a shard, which is rectified already."""
+        return ModelInput(
+            image_to_tensor(sample.image, self.device), _scene_tensor(sample.rectification, sample.camera)
+        )
 
-    def picture(self, sample: Sample) -> Picture:
-        """The rectified picture of a shard's sample."""
-        return Picture(to_tensor(sample.image, self.device), _scene(sample.rectification, sample.camera))
+    def detect(self, inputs: Sequence[ModelInput]) -> list[Labels]:
+        """Detect vehicles in rectified pictures.
 
-    def __call__(self, pictures: Sequence[Picture]) -> list[Found]:
-        """Detections in rectified pictures, as `picture` and `rectifier` make them."""
-        images = [picture.image for picture in pictures]
-        if self._whole_batches and images:
-            # A last batch that is smaller would be compiled for, which takes longer than some videos.
+        Args:
+            inputs: pictures of one size, made by `rectifier` or `input_of_sample`.
+
+        Returns:
+            labels of each picture, in its px, with scores.
+        """
+        images = [item.image for item in inputs]
+        if self._fixed_batch and images:
+            # A smaller last batch would be compiled for, which takes longer than some videos.
             images += images[-1:] * (-len(images) % self.batch_size)
         autocast = self.half and self.device.type == "cpu"
         with torch.inference_mode(), torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=autocast):
             outputs = self.model(images)
-        return [to_found(out, picture.scene, self.card) for out, picture in zip(outputs, pictures, strict=False)]
+        return [
+            labels_from_output(output, item.scene, self.metadata) for output, item in zip(outputs, inputs, strict=False)
+        ]
+
+
+def load_detector(path: Path, *, score: float = 0.05, **options: Any) -> Detector:
+    """Load a detector from a checkpoint.
+
+    Args:
+        path: written by `detector.training.train.train`.
+        score: lowest score of a detection, in [0, 1].
+        options: further ones of `Detector`: `device`, `half`, `compiled`, `fold`.
+
+    Raises:
+        DataError: not a checkpoint of a detector.
+        LabelgenError: no such device.
+    """
+    model, metadata = load_model(path, score_thresh=score)
+    return Detector(model, metadata, **options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,54 +13,33 @@ from numpy.typing import NDArray
 
 from labelgen.errors import LabelgenError
 from labelgen.geometry import decode_boxes, front_bottom_midpoints
+from labelgen.geometry.boxes import iou_matrix
 from labelgen.geometry.homography import Array
 from labelgen.labels import Flag, Labels, Sample
 
-__all__ = ["Found", "average_precision", "evaluate", "match_boxes"]
-
-_MATCH_IOU = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Detections in one rectified image.
-
-    Args:
-        boxes_xyxy: (N, 4) px.
-        cc: (N,) in [0, 1].
-        scores: (N,) in [0, 1].
-    """
-
-    boxes_xyxy: Array
-    cc: Array
-    scores: Array
-
-    def __len__(self) -> int:
-        return len(self.scores)
-
-    def __getitem__(self, index: Any) -> Found:
-        """Some of the detections."""
-        return Found(self.boxes_xyxy[index], self.cc[index], self.scores[index])
+__all__ = ["average_precision", "evaluate_detections", "match_boxes"]
 
 
 def average_precision(
-    truth: Sequence[Array], ignored: Sequence[NDArray[np.bool_]], found: Sequence[Found]
+    truth_xyxy: Sequence[Array], ignored: Sequence[NDArray[np.bool_]], detections: Sequence[Labels]
 ) -> dict[str, float]:
-    """AP over IoU 0.5 to 0.95, AP50, AP75, as COCO counts them.
+    """Compute AP over IoU 0.5 to 0.95, AP50 and AP75 as COCO does, over all box sizes.
 
     Args:
-        truth: boxes (L, 4) per image.
-        ignored: (L,) per image, labels that need not be found and cost nothing when they are.
-        found: detections per image.
+        truth_xyxy: boxes (L, 4) px per image.
+        ignored: (L,) per image, labels that need not be detected and cost nothing when they are.
+        detections: per image, with scores.
 
     Returns:
         "ap", "ap50", "ap75" in [0, 1]; NaN without labels.
+
+    Source: pycocotools; at most 300 detections per image.
     """
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
 
     annotations: list[dict[str, Any]] = []
-    for image, (boxes, skip) in enumerate(zip(truth, ignored, strict=True)):
+    for image, (boxes, skip) in enumerate(zip(truth_xyxy, ignored, strict=True)):
         for box, crowd in zip(_xywh(boxes), skip.tolist(), strict=True):
             annotations.append(
                 {
@@ -72,15 +51,15 @@ def average_precision(
         return {"ap": float("nan"), "ap50": float("nan"), "ap75": float("nan")}
     results = [
         {"image_id": image, "category_id": 1, "bbox": box, "score": score}
-        for image, detections in enumerate(found)
-        for box, score in zip(_xywh(detections.boxes_xyxy), detections.scores.tolist(), strict=True)
+        for image, labels in enumerate(detections)
+        for box, score in zip(_xywh(labels.boxes_xyxy), labels.scores.tolist(), strict=True)
     ]
     if not results:
         return {"ap": 0.0, "ap50": 0.0, "ap75": 0.0}
     with contextlib.redirect_stdout(io.StringIO()):
         coco = COCO()
         coco.dataset = {
-            "images": [{"id": i} for i in range(len(truth))],
+            "images": [{"id": i} for i in range(len(truth_xyxy))],
             "annotations": annotations,
             "categories": [{"id": 1, "name": "vehicle"}],
         }
@@ -96,94 +75,141 @@ def average_precision(
     }  # fmt: skip
 
 
-def _xywh(boxes: Array) -> list[list[float]]:
-    return np.concatenate([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]], axis=1).tolist()  # type: ignore[no-any-return]
+def _xywh(boxes_xyxy: Array) -> list[list[float]]:
+    boxes: list[list[float]] = np.concatenate(
+        [boxes_xyxy[:, :2], boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]], axis=1
+    ).tolist()
+    return boxes
 
 
-def match_boxes(truth_xyxy: Array, found_xyxy: Array, scores: Array, min_iou: float = _MATCH_IOU) -> NDArray[np.int64]:
-    """(N,) which label (of L) each detection finds, -1 for none: best score first, each label once."""
-    from labelgen.geometry.boxes import iou_matrix
+def match_boxes(
+    truth_xyxy: Array, detections_xyxy: Array, scores: NDArray[np.floating], min_iou: float = 0.5
+) -> NDArray[np.int64]:
+    """Assign detections to labels: the highest score first, each label at most once.
 
-    overlap = iou_matrix(found_xyxy, truth_xyxy)
-    out = np.full(len(found_xyxy), -1, dtype=np.int64)
+    Args:
+        truth_xyxy: (L, 4) px.
+        detections_xyxy: (N, 4) px.
+        scores: (N,).
+        min_iou: lowest intersection over union of a pair.
+
+    Returns:
+        (N,) index of each detection's label, -1 for none.
+    """
+    overlap = iou_matrix(detections_xyxy, truth_xyxy)
+    matches = np.full(len(detections_xyxy), -1, dtype=np.int64)
     for i in np.argsort(-scores, kind="stable").tolist():
         if overlap.shape[1] and (best := int(overlap[i].argmax())) >= 0 and overlap[i, best] >= min_iou:
-            out[i] = best
+            matches[i] = best
             overlap[:, best] = 0
-    return out
+    return matches
 
 
-def _ground_errors(sample: Sample, labels: Labels, found: Found) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Errors of the measured points of matched pairs: frame px (N,), metres (N,), and validity of the detections."""
+@dataclass
+class _Tally:
+    """What `evaluate_detections` collects, one entry per image.
+
+    Args:
+        truth_xyxy, truncated, detections: labels' boxes, which of them are truncated, and all detections.
+        labels, strong, matched: numbers of labels, of detections above the score, and of matched ones among these.
+        valid: which detections above the score have a valid 3D box.
+        cc, px, m: errors of matched pairs: c_c, ground point in frame px and in metres.
+    """
+
+    truth_xyxy: list[Array] = field(default_factory=list)
+    truncated: list[NDArray[np.bool_]] = field(default_factory=list)
+    detections: list[Labels] = field(default_factory=list)
+    labels: int = 0
+    strong: int = 0
+    matched: int = 0
+    valid: list[NDArray[np.bool_]] = field(default_factory=list)
+    cc: list[Array] = field(default_factory=list)
+    px: list[Array] = field(default_factory=list)
+    m: list[Array] = field(default_factory=list)
+
+    def add(self, sample: Sample, detections: Labels, score: float) -> None:
+        """Count one image."""
+        labels = sample.labels
+        truncated, flat = labels.has(Flag.TRUNCATED), labels.has(Flag.FLAT)
+        self.truth_xyxy.append(labels.boxes_xyxy)
+        self.truncated.append(truncated)
+        self.detections.append(detections)
+        strong = detections[detections.scores >= np.float64(score)]
+        matches = match_boxes(labels.boxes_xyxy, strong.boxes_xyxy, strong.scores)
+        self.labels += len(labels)
+        self.strong += len(strong)
+        self.matched += int(np.count_nonzero(matches >= 0))
+        if not flat.any():
+            self.valid.append(decode_boxes(strong.boxes_xyxy, strong.cc, sample.rectification.vpu)[1])
+        compared = matches >= 0
+        compared[compared] = ~(truncated | flat)[matches[compared]]
+        truth, strong = labels[matches[compared]], strong[compared]
+        px, metres = _ground_errors(sample, truth, strong)
+        self.cc.append(np.abs(truth.cc - strong.cc))
+        self.px.append(px)
+        self.m.append(metres)
+
+
+def _ground_errors(sample: Sample, truth: Labels, detections: Labels) -> tuple[Array, Array]:
+    """Errors (N,) of the measured points of matched pairs in frame px and in metres; NaN where there is no point."""
     vpu = sample.rectification.vpu
-    truth, truth_valid = decode_boxes(labels.boxes_xyxy, labels.cc, vpu)
-    seen, valid = decode_boxes(found.boxes_xyxy, found.cc, vpu)
+    truth_vertices, truth_valid = decode_boxes(truth.boxes_xyxy, truth.cc, vpu)
+    vertices, valid = decode_boxes(detections.boxes_xyxy, detections.cc, vpu)
     both = truth_valid & valid
-    a, b = (sample.rectification.points_back(front_bottom_midpoints(v[both])) for v in (truth, seen))
-    px, metres = np.full(len(labels), np.nan), np.full(len(labels), np.nan)
+    a, b = (sample.rectification.points_back(front_bottom_midpoints(v[both])) for v in (truth_vertices, vertices))
+    px, metres = np.full(len(truth), np.nan), np.full(len(truth), np.nan)
     px[both] = np.linalg.norm(a - b, axis=1)
     if sample.camera.scale is not None:
         road = [sample.camera.road_points(points, invalid="nan") for points in (a, b)]
         metres[both] = np.linalg.norm(road[0] - road[1], axis=1)
-    return px, metres, valid
+    return px, metres
 
 
-def evaluate(
-    pairs: Iterable[tuple[Sample, Found]], *, score: float = 0.5, min_height_px: float = 0.0
+def evaluate_detections(
+    pairs: Iterable[tuple[Sample, Labels]], *, score: float = 0.5, min_height_px: float = 0.0
 ) -> dict[str, Any]:
-    """Judge detections against labels.
+    """Compare detections with labels.
 
-    Average precision counts all detections; the other figures those of at least `score` that find a label (IoU 0.5).
-    Errors of c_c and of the ground point are taken over labels that are not truncated and lie in rectified pictures.
+    Average precision counts all detections. The other figures count those of at least `score` that match a label with
+    IoU 0.5. Errors of c_c and of the ground point are those of labels that are not truncated and lie in rectified
+    pictures.
 
     Args:
-        pairs: samples with their detections.
-        score: least score for all but average precision.
-        min_height_px: labels lower than this were never made, so detections lower than it are left out.
+        pairs: samples with the detections in their image.
+        score: lowest score for all but average precision.
+        min_height_px: labels lower than this were never made, so lower detections are left out.
+
+    Returns:
+        plain values: counts, "ap", "ap50", "ap75" and the same without truncated labels ("_whole"), "recall",
+        "precision", "invalid_share" (detections without a valid 3D box), and "cc_error", "ground_px", "ground_m",
+        each with "n", "median", "mean", "p95". None where there is nothing to measure.
 
     Raises:
         LabelgenError: there are no samples.
     """
-    truth, truncated, kept = [], [], []
-    cc, px, metres, valid, counts = [], [], [], [], np.zeros(3, dtype=np.int64)
-    for sample, everything in pairs:
-        labels = sample.labels
-        found = everything[everything.boxes_xyxy[:, 3] - everything.boxes_xyxy[:, 1] >= min_height_px]
-        cut = labels.has(Flag.TRUNCATED)
-        truth.append(labels.boxes_xyxy)
-        truncated.append(cut)
-        kept.append(found)
-        strong = found[found.scores >= score]
-        which = match_boxes(labels.boxes_xyxy, strong.boxes_xyxy, strong.scores)
-        counts += np.array([len(labels), len(strong), np.count_nonzero(which >= 0)])
-        flat = labels.has(Flag.FLAT)
-        if not flat.any():
-            valid.append(decode_boxes(strong.boxes_xyxy, strong.cc, sample.rectification.vpu)[1])
-        right = which >= 0
-        right[right] = ~(cut | flat)[which[right]]
-        matched, strong = labels[which[right]], strong[right]
-        cc.append(np.abs(matched.cc - strong.cc))
-        a, b, _ = _ground_errors(sample, matched, strong)
-        px.append(a)
-        metres.append(b)
-    if not truth:
+    tally = _Tally()
+    for sample, labels in pairs:
+        heights = labels.boxes_xyxy[:, 3] - labels.boxes_xyxy[:, 1]
+        tally.add(sample, labels[heights >= min_height_px], score)
+    if not tally.truth_xyxy:
         raise LabelgenError("no samples to evaluate")
-    whole = average_precision(truth, truncated, kept)
+    whole = average_precision(tally.truth_xyxy, tally.truncated, tally.detections)
+    nothing_ignored = [np.zeros_like(t) for t in tally.truncated]
     return {
-        "images": len(truth),
-        "labels": int(counts[0]),
-        "truncated_labels": int(sum(np.count_nonzero(t) for t in truncated)),
-        **average_precision(truth, [np.zeros_like(t) for t in truncated], kept),
+        "images": len(tally.truth_xyxy),
+        "labels": tally.labels,
+        "truncated_labels": int(sum(np.count_nonzero(t) for t in tally.truncated)),
+        **average_precision(tally.truth_xyxy, nothing_ignored, tally.detections),
         **{f"{key}_whole": value for key, value in whole.items()},
         "score": score,
         "min_height_px": min_height_px,
-        "detections": int(counts[1]),
-        "recall": _ratio(counts[2], counts[0]),
-        "precision": _ratio(counts[2], counts[1]),
-        "invalid_share": _ratio(sum(int(np.count_nonzero(~v)) for v in valid), sum(map(len, valid))),
-        "cc_error": _spread(cc),
-        "ground_px": _spread(px),
-        "ground_m": _spread(metres),
+        "detections": tally.strong,
+        "recall": _ratio(tally.matched, tally.labels),
+        "precision": _ratio(tally.matched, tally.strong),
+        "invalid_share": _ratio(sum(int(np.count_nonzero(~v)) for v in tally.valid), sum(map(len, tally.valid))),
+        "cc_error": _spread(tally.cc),
+        "ground_px": _spread(tally.px),
+        "ground_m": _spread(tally.m),
     }
 
 

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from labelgen.geometry.homography import Array
 from labelgen.labels import Flag, Labels
 
-__all__ = ["AxisMap", "Ranges", "Target", "change_light", "cut_to_image", "draw_map"]
+__all__ = ["AugmentationRanges", "AxisAlignedAffine", "Target", "clip_to_image", "jitter_color", "sample_affine"]
 
 
 @dataclass(frozen=True)
-class AxisMap:
+class AxisAlignedAffine:
     """x' = scale_x * x + shift_x, likewise y; scale_x is negative for a flip.
 
     Args:
@@ -52,14 +52,14 @@ class AxisMap:
             shrink = max(1, round(1 / max(abs(sx), abs(sy))))
             small = (max(1, image.shape[1] // shrink), max(1, image.shape[0] // shrink))
             fx, fy = small[0] / image.shape[1], small[1] / image.shape[0]
-            return AxisMap((sx / fx, sy / fy), (tx, ty)).image(
+            return AxisAlignedAffine((sx / fx, sy / fy), (tx, ty)).image(
                 np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), dtype=np.uint8), size_wh
             )
         return np.asarray(cv2.warpAffine(image, matrix, size_wh, flags=cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 @dataclass(frozen=True)
-class Ranges:
+class AugmentationRanges:
     """How far augmentation may go.
 
     Args:
@@ -98,9 +98,14 @@ class Target:
         return cls(labels.boxes_xyxy, np.where(known, labels.cc, 0.0), known)
 
 
-def draw_map(
-    rng: np.random.Generator, ranges: Ranges, from_wh: tuple[int, int], to_wh: tuple[int, int], *, fill: bool = False
-) -> AxisMap:
+def sample_affine(
+    rng: np.random.Generator,
+    ranges: AugmentationRanges,
+    from_wh: tuple[int, int],
+    to_wh: tuple[int, int],
+    *,
+    fill: bool = False,
+) -> AxisAlignedAffine:
     """A random map from one image to another.
 
     Args:
@@ -119,11 +124,13 @@ def draw_map(
     size = np.asarray(from_wh) * both
     left, top = (np.asarray(to_wh) - size) / 2 + shift
     if flipped:
-        return AxisMap((-float(both[0]), float(both[1])), (float(left + size[0]), float(top)))
-    return AxisMap((float(both[0]), float(both[1])), (float(left), float(top)))
+        return AxisAlignedAffine((-float(both[0]), float(both[1])), (float(left + size[0]), float(top)))
+    return AxisAlignedAffine((float(both[0]), float(both[1])), (float(left), float(top)))
 
 
-def cut_to_image(target: Target, size_wh: tuple[int, int], *, min_share: float = 0.25, min_side: float = 4.0) -> Target:
+def clip_to_image(
+    target: Target, size_wh: tuple[int, int], *, min_share: float = 0.25, min_side: float = 4.0
+) -> Target:
     """Cut boxes at the image's border.
 
     Args:
@@ -144,7 +151,7 @@ def cut_to_image(target: Target, size_wh: tuple[int, int], *, min_share: float =
     return Target(cut[keep], np.clip(cc[keep], 0, 1), known[keep])
 
 
-def change_light(rng: np.random.Generator, image: NDArray[np.uint8], strength: float) -> NDArray[np.uint8]:
+def jitter_color(rng: np.random.Generator, image: NDArray[np.uint8], strength: float) -> NDArray[np.uint8]:
     """Random brightness, contrast, gamma and tint; strength about 0.3 is plenty.
 
     Args:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from detector.data.augment import Ranges, Target, change_light, cut_to_image, draw_map
-from detector.model.vehicle_size import moved_scene, scene_vector
+from detector.data.augment import AugmentationRanges, Target, clip_to_image, jitter_color, sample_affine
+from detector.model.vehicle_size import scene_vector, transform_scene
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
 from labelgen.geometry.homography import Array
@@ -182,7 +182,12 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
     """
 
     def __init__(
-        self, sources: Sequence[ShardSource], size_wh: tuple[int, int], whole: Ranges, crops: Ranges, seed: int
+        self,
+        sources: Sequence[ShardSource],
+        size_wh: tuple[int, int],
+        whole: AugmentationRanges,
+        crops: AugmentationRanges,
+        seed: int,
     ) -> None:
         self._sources, self._size_wh, self._seed = list(sources), size_wh, seed
         self._whole, self._crops = whole, crops
@@ -237,12 +242,12 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
     ) -> tuple[NDArray[np.uint8], Target, Array]:
         """A picture (H, W, 3) BGR, its labels and scene (4,) as they go into training."""
         ranges = self._crops if crops else self._whole
-        move = draw_map(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
+        move = sample_affine(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
         target = Target.of(labels)
-        moved = cut_to_image(Target(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
+        moved = clip_to_image(Target(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
         out = move.image(image, self._size_wh)
-        scene = moved_scene(scene, move.scale_xy[1], move.shift_xy[1])
-        return change_light(rng, out, ranges.light) if ranges.light else out, moved, scene
+        scene = transform_scene(scene, move.scale_xy[1], move.shift_xy[1])
+        return jitter_color(rng, out, ranges.light) if ranges.light else out, moved, scene
 
 
 def _scenes(reader: ShardReader) -> Array:

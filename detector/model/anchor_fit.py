@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labelgen.geometry.homography import Array
-
-__all__ = ["best_anchor_iou", "fit_anchors"]
+__all__ = ["fit_anchors"]
 
 _TAIL = 0.02
 
@@ -45,14 +41,3 @@ def fit_anchors(
     return tuple(tuple(float(v) for v in np.round(row, 1)) for row in sizes), tuple(
         float(v) for v in np.round(shapes, 3)
     )
-
-
-def best_anchor_iou(boxes_xyxy: ArrayLike, sizes: Sequence[Sequence[float]], ratios: Sequence[float]) -> Array:
-    """(N,) intersection over union of each box with the best-shaped anchor centred on it: a bound from above."""
-    boxes = np.asarray(boxes_xyxy, dtype=np.float64).reshape(-1, 4)
-    sides = (boxes[:, 2:] - boxes[:, :2])[:, None]
-    size, ratio = (a.ravel() for a in np.meshgrid(np.concatenate([np.asarray(s) for s in sizes]), np.asarray(ratios)))
-    anchors = np.stack([size / np.sqrt(ratio), size * np.sqrt(ratio)], axis=1)
-    shared = np.minimum(sides, anchors).prod(axis=-1)
-    out: Array = (shared / (sides.prod(axis=-1) + anchors.prod(axis=-1) - shared)).max(axis=1)
-    return out

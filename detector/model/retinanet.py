@@ -29,7 +29,7 @@ from torchvision.models.detection.retinanet import RetinaNetHead, RetinaNetRegre
 from torchvision.ops import batched_nms, sigmoid_focal_loss
 
 from detector.model.backbone import NORMS, build_backbone
-from detector.model.torchvision_overrides import AsItIs, ExactAnchors
+from detector.model.torchvision_overrides import CachedAnchorGenerator, IdentityTransform
 from detector.model.vehicle_size import sizes_from_cc
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
@@ -189,9 +189,11 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         options: of torchvision's RetinaNet: thresholds, numbers of detections, matcher.
     """
 
-    def __init__(self, backbone: nn.Module, anchor_generator: ExactAnchors, head: CcHead, **options: Any) -> None:
+    def __init__(
+        self, backbone: nn.Module, anchor_generator: CachedAnchorGenerator, head: CcHead, **options: Any
+    ) -> None:
         super().__init__(backbone, num_classes=1, anchor_generator=anchor_generator, head=head, **options)
-        self.transform = AsItIs()
+        self.transform = IdentityTransform()
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
         """As torchvision's, with c_c, clamped to [0, 1], and the sizes going the same way as their box.
@@ -260,7 +262,7 @@ def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -
     """
     backbone = build_backbone(config.backbone, config.levels, config.channels, weights=weights, norm=config.trunk_norm)
     sizes: Sequence[Sequence[float]] = config.anchor_sizes
-    anchors = ExactAnchors(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
+    anchors = CachedAnchorGenerator(tuple(map(tuple, sizes)), (tuple(config.anchor_ratios),) * len(sizes))
     head = CcHead(
         config.channels, anchors.num_anchors_per_location()[0], NORMS[config.head_norm], convs=config.head_convs,
         cc_weight=config.cc_weight, beta=config.beta, with_sizes=config.size_weight > 0,

@@ -9,12 +9,12 @@ from torch import Tensor
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
 
-__all__ = ["IMAGE_MEAN", "IMAGE_STD", "AsItIs", "ExactAnchors"]
+__all__ = ["IMAGE_MEAN", "IMAGE_STD", "CachedAnchorGenerator", "IdentityTransform"]
 
 IMAGE_MEAN, IMAGE_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
-class AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
+class IdentityTransform(GeneralizedRCNNTransform):  # type: ignore[misc]
     """Normalises and pads, never resizes: labels and detections are in the image's own px."""
 
     mean: Tensor
@@ -35,7 +35,7 @@ class AsItIs(GeneralizedRCNNTransform):  # type: ignore[misc]
         return (image - self.mean) / self.std
 
 
-class ExactAnchors(AnchorGenerator):  # type: ignore[misc]
+class CachedAnchorGenerator(AnchorGenerator):  # type: ignore[misc]
     """torchvision's, in float32 (it makes them in the precision of the features), and made once per size in use."""
 
     def __init__(self, sizes: tuple[tuple[float, ...], ...], ratios: tuple[tuple[float, ...], ...]) -> None:

@@ -28,7 +28,7 @@ from labelgen.geometry import Camera, Pair
 from labelgen.geometry.box_codec import CUT_PX
 from labelgen.geometry.homography import Array, apply_homography
 
-__all__ = ["TYPICAL_HEIGHT_M", "TYPICAL_LENGTH_M", "merge_sizes", "moved_scene", "scene_vector", "sizes_from_cc"]
+__all__ = ["TYPICAL_HEIGHT_M", "TYPICAL_LENGTH_M", "merge_sizes", "scene_vector", "sizes_from_cc", "transform_scene"]
 
 TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M = 1.5, 4.5
 
@@ -60,7 +60,7 @@ def scene_vector(matrix: ArrayLike, vpu: ArrayLike, pair: Pair, camera: Camera) 
     return np.array([row, 1 / camera.height_m, rows * _AHEAD**-power, power])
 
 
-def moved_scene(scene: ArrayLike, scale_y: float, shift_y: float) -> Array:
+def transform_scene(scene: ArrayLike, scale_y: float, shift_y: float) -> Array:
     """The scene (4,) of a picture whose rows y have become scale_y * y + shift_y."""
     row, ratio, s, power = np.asarray(scene, dtype=np.float64)
     return np.array([scale_y * row + shift_y, ratio, abs(scale_y) * s, power])

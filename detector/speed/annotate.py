@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.metrics import Found
 from detector.speed.detections import Detections
 from detector.speed.measurement import MeasurementView
 from detector.tracking.iou_tracker import DUPLICATE
@@ -140,5 +139,5 @@ def draw_detections(view: MeasurementView, frame: NDArray[np.uint8], found: Dete
     """A frame, rectified, with its detections."""
     assert view.rectification is not None
     image = view.rectification.warp_image(frame)
-    draw_boxes(image, Found(found.boxes_xyxy, found.cc, found.scores), view.rectification.vpu)
+    draw_boxes(image, found.boxes_xyxy, found.cc, found.scores, view.rectification.vpu)
     return image

@@ -132,7 +132,7 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
 
 
 def _job_from_model(options: SpeedOptions, checkpoint: Path) -> SpeedJob:
-    from detector.inference import Detector
+    from detector.inference import load_detector
     from detector.speed.measurement import Variant
     from detector.speed.model_detections import DetectorDetections, model_view
     from detector.speed.pipeline import detect
@@ -140,17 +140,17 @@ def _job_from_model(options: SpeedOptions, checkpoint: Path) -> SpeedJob:
     from labelgen.geometry import Pair, parse_size
     from labelgen.media.timed_frames import TimedFrames
 
-    model = Detector.load(checkpoint, score=options.score, device=options.device)
-    card = model.card
+    model = load_detector(checkpoint, score=options.score, device=options.device)
+    metadata = model.metadata
     asked = (options.pair and Pair.parse(options.pair), options.size and parse_size(options.size))
-    if any(given and given != own for given, own in zip(asked, (card.pair, card.size_wh), strict=True)):
+    if any(given and given != own for given, own in zip(asked, (metadata.pair, metadata.size_wh), strict=True)):
         raise LabelgenError(
-            f"--from {options.from_}: it sees {card.pair} pictures of {card.size_wh[0]}x{card.size_wh[1]}; leave out "
+            f"--from {options.from_}: it sees {metadata.pair} pictures of {metadata.size_wh[0]}x{metadata.size_wh[1]}; leave out "
             "--pair and --size, or use a checkpoint trained for them"
         )
     frames, camera, road, rate = _open(options)
     variant = Variant.parse(options.variant) if options.variant else None
-    detections = DetectorDetections(model, model_view(card, camera, road, variant))
+    detections = DetectorDetections(model, model_view(metadata, camera, road, variant))
     timed = TimedFrames(frames, fps=frames.fps or rate, duration_s=options.duration)
     name = frames.name if _is_url(options) else source_name(options.source)
     return SpeedJob(

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import islice
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from detector.checkpoint import Card
+from detector.checkpoint import ModelMetadata
+from detector.inference import Detector
 from detector.speed.detections import Detections
 from detector.speed.measurement import MeasurementView, Variant
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
-from labelgen.labels import Labels
 from labelgen.media.frames import Frame, FrameSource
 
-__all__ = ["Detector", "DetectorDetections", "model_view"]
+__all__ = ["DetectorDetections", "model_view"]
 
 
-def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | None = None) -> MeasurementView:
+def model_view(
+    metadata: ModelMetadata, camera: Camera, road: RoadMask, variant: Variant | None = None
+) -> MeasurementView:
     """The view of a scene in which a model's detections lie.
 
     Args:
-        card: of its checkpoint.
+        metadata: of its checkpoint.
         camera: with a scale.
         road: the road mask.
         variant: how the measured point is found; by default with c_c where the model has it, on the part of the
@@ -35,50 +35,32 @@ def model_view(card: Card, camera: Camera, road: RoadMask, variant: Variant | No
         LabelgenError: the variant needs pictures of another kind, or c_c from a model that has none.
         RectificationError: the scene admits no rectification of the model's pair and size.
     """
-    region = card.region
+    region = metadata.region
     solid, flat = {
         Region.ROAD: (Variant.TRANSFORM3D, Variant.TRANSFORM2D),
         Region.FRAME: (Variant.PREVIOUS3D, Variant.PREVIOUS2D),
         Region.NONE: (Variant.ORIG2D, Variant.ORIG2D),
     }[region]
-    chosen = variant or (solid if card.config.cc_weight else flat)
+    chosen = variant or (solid if metadata.config.cc_weight else flat)
     if chosen not in (solid, flat):
         kind = "frames as they are" if region is Region.NONE else f"rectifications of the {region}"
         known = " or ".join(dict.fromkeys((solid, flat)))
         raise LabelgenError(f"--variant {chosen}: this detector was trained on {kind}; use {known}")
     if region is Region.NONE:
-        return MeasurementView(chosen, camera, Rectification.of_region(region, camera, road, card.pair, card.size_wh))
-    if chosen.is_3d and not card.config.cc_weight:
+        rectification = Rectification.of_region(region, camera, road, metadata.pair, metadata.size_wh)
+        return MeasurementView(chosen, camera, rectification)
+    if chosen.is_3d and not metadata.config.cc_weight:
         raise LabelgenError(f"--variant {chosen}: this detector was trained without c_c; use {flat}")
-    return MeasurementView.create(chosen, camera, road, card.pair, card.size_wh)
-
-
-class Detector(Protocol):
-    """A network: rectified pictures in, boxes with c_c and scores out.
-
-    Attributes:
-        batch_size: how many pictures it takes at once at best.
-    """
-
-    @property
-    def batch_size(self) -> int: ...
-
-    def rectifier(self, rectification: Rectification, camera: Camera) -> Callable[[NDArray[np.uint8]], Any]:
-        """Turns a frame (H, W, 3) uint8 BGR of a camera into a rectified picture as `detect` takes it."""
-        ...
-
-    def detect(self, pictures: Sequence[Any]) -> list[Labels]:
-        """The vehicles in each rectified picture, in its px, with scores."""
-        ...
+    return MeasurementView.create(chosen, camera, road, metadata.pair, metadata.size_wh)
 
 
 class DetectorDetections:
     """A detector as a `DetectionSource`.
 
     Args:
-        detector: sees the rectified pictures.
+        detector: of the view's pair and size.
         view: of a variant with a rectified picture.
-        batch: frames at a time; 1 keeps the delay of a live camera low, the detector's own number by default.
+        batch: frames at a time; None for `Detector.batch_size`. 1 keeps the delay of a live camera low.
 
     Raises:
         LabelgenError: the view has no rectified picture.
@@ -99,10 +81,10 @@ class DetectorDetections:
         """Each of some frames with its detections, in order."""
         coming = iter(frames)
         while batch := list(islice(coming, self._batch)):
-            labels = self._detector.detect([self._rectify(frame.image) for frame in batch])
-            for frame, found in zip(batch, labels, strict=True):
+            batch_labels = self._detector.detect([self._rectify(frame.image) for frame in batch])
+            for frame, labels in zip(batch, batch_labels, strict=True):
                 placed, valid = self.view.place(
-                    frame.number, frame.time_s, found.boxes_xyxy, found.cc, found.scores, found.class_ids
+                    frame.number, frame.time_s, labels.boxes_xyxy, labels.cc, labels.scores, labels.class_ids
                 )
                 if not valid.all():
                     self.rejects["no valid 3D box"] += int(np.count_nonzero(~valid))

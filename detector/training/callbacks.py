@@ -14,7 +14,7 @@ from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger
 
 from detector.training.config import Preset
 from detector.training.lightning_module import VALIDATION_SCORE, DetectorModule
-from detector.visualize import draw_found, tile
+from detector.visualize import draw_sample, tile
 
 if TYPE_CHECKING:
     from detector.training.config import Trainer
@@ -72,7 +72,7 @@ class PredictionPictures(Callback):
             return
         pairs = pl_module.validation_pairs()
         chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, _PICTURES).astype(int))]
-        sheet = tile([draw_found(sample, found) for sample, found in chosen])
+        sheet = tile([draw_sample(sample, found) for sample, found in chosen])
         self._folder.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(self._folder / f"epoch-{trainer.current_epoch:03d}.jpg"), sheet)
         for logger in trainer.loggers:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
-from detector.data.augment import Ranges
+from detector.data.augment import AugmentationRanges
 from detector.model.retinanet import ModelConfig
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair
@@ -15,8 +15,8 @@ from labelgen.geometry import Pair
 __all__ = ["PRESETS", "Preset", "Trainer", "find_preset"]
 
 
-PAPER_WHOLE = Ranges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
-PAPER_CROPS = Ranges(translation=0.5, scale=(0.03, 1.0), flip=0.5)
+PAPER_WHOLE = AugmentationRanges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
+PAPER_CROPS = AugmentationRanges(translation=0.5, scale=(0.03, 1.0), flip=0.5)
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class Preset:
     warmup_steps: int = 0
     patience: int = 0
     half: bool = False
-    whole: Ranges = PAPER_WHOLE
-    crops: Ranges = PAPER_CROPS
+    whole: AugmentationRanges = PAPER_WHOLE
+    crops: AugmentationRanges = PAPER_CROPS
 
 
 def _presets() -> dict[str, Preset]:
@@ -82,8 +82,8 @@ def _presets() -> dict[str, Preset]:
             "small", None, None, small, fit_anchors=(2, 3), weights="none", batch=8, epochs=12, steps_per_epoch=0,
             optimiser="adamw", lr=2e-3, weight_decay=0.01, clip_norm=5.0, schedule="cosine", warmup_steps=100,
             half=True,
-            whole=Ranges(translation=0.15, scale=(0.8, 1.5), aspect=1.2, flip=0.5, light=0.25),
-            crops=Ranges(translation=0.4, scale=(0.08, 0.8), aspect=1.2, flip=0.5, light=0.25),
+            whole=AugmentationRanges(translation=0.15, scale=(0.8, 1.5), aspect=1.2, flip=0.5, light=0.25),
+            crops=AugmentationRanges(translation=0.4, scale=(0.08, 0.8), aspect=1.2, flip=0.5, light=0.25),
         )
     )  # fmt: skip
     return {preset.name: preset for preset in found}

@@ -1,4 +1,4 @@
-"""The detector as Lightning sees it: steps, optimiser, schedule, validation, and the card in its checkpoints."""
+"""The detector as Lightning sees it: steps, optimiser, schedule, validation, and the metadata in its checkpoints."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from lightning.pytorch import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
 
-from detector.checkpoint import CARD_KEY, Card
+from detector.checkpoint import METADATA_KEY, ModelMetadata
 from detector.data.dataset import Batch, ValidationSamples
-from detector.inference import to_found
-from detector.metrics import Found, evaluate
+from detector.inference import labels_from_output
+from detector.metrics import evaluate_detections
 from detector.model.retinanet import CcRetinaNet
 from detector.training.config import Preset
-from labelgen.labels import Sample
+from labelgen.labels import Labels, Sample
 
 __all__ = ["VALIDATION_SCORE", "DetectorModule"]
 
@@ -35,19 +35,24 @@ class DetectorModule(LightningModule):
     Args:
         model: the network.
         preset: optimiser and schedule.
-        card: goes into every checkpoint.
+        metadata: goes into every checkpoint.
         total_steps: of the whole training, for the cosine schedule.
         validation: what the validation loader's numbers refer to; None without validation.
     """
 
     def __init__(
-        self, model: CcRetinaNet, preset: Preset, card: Card, total_steps: int, validation: ValidationSamples | None
+        self,
+        model: CcRetinaNet,
+        preset: Preset,
+        metadata: ModelMetadata,
+        total_steps: int,
+        validation: ValidationSamples | None,
     ) -> None:
         super().__init__()
         self.model = model.to(memory_format=torch.channels_last)
-        self._preset, self._card, self._total_steps = preset, card, total_steps
+        self._preset, self._metadata, self._total_steps = preset, metadata, total_steps
         self._validation = validation
-        self._found: dict[int, Found] = {}
+        self._detections: dict[int, Labels] = {}
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Loss of a batch."""
@@ -60,22 +65,22 @@ class DetectorModule(LightningModule):
 
     def on_validation_epoch_start(self) -> None:
         """Forget the last epoch's detections."""
-        self._found = {}
+        self._detections = {}
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Detections of a batch."""
         outputs = self.model(list(as_input(batch)))
         for index, output, target in zip(batch.indices, outputs, batch.targets, strict=True):
-            self._found[index] = to_found(output, target["scene"], self._card)
+            self._detections[index] = labels_from_output(output, target["scene"], self._metadata)
 
-    def validation_pairs(self) -> list[tuple[Sample, Found]]:
+    def validation_pairs(self) -> list[tuple[Sample, Labels]]:
         """The validation samples seen last, with their detections."""
         assert self._validation is not None
-        return [(self._validation.shards[index], self._found[index]) for index in sorted(self._found)]
+        return [(self._validation.shards[index], self._detections[index]) for index in sorted(self._detections)]
 
     def on_validation_epoch_end(self) -> None:
         """Average precision and errors over the epoch's detections."""
-        result = evaluate(self.validation_pairs(), min_height_px=self._card.min_height_px)
+        result = evaluate_detections(self.validation_pairs(), min_height_px=self._metadata.min_height_px)
         figures = {
             VALIDATION_SCORE: result["ap50"],
             "val/ap": result["ap"],
@@ -123,5 +128,5 @@ class DetectorModule(LightningModule):
         return 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Put the card in."""
-        checkpoint[CARD_KEY] = self._card.to_dict()
+        """Put the metadata in."""
+        checkpoint[METADATA_KEY] = self._metadata.to_dict()

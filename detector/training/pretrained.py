@@ -11,17 +11,17 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from detector.checkpoint import PREFIX
+from detector.checkpoint import WEIGHTS_PREFIX
 from detector.model.retinanet import CcRetinaNet
 from labelgen.errors import DataError
 
-__all__ = ["begin_with"]
+__all__ = ["load_pretrained"]
 
 # Counted in training, of no use for anything, and not in the files of frozen normalisations.
 _COUNTER = "num_batches_tracked"
 
 
-def begin_with(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> str:
+def load_pretrained(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> str:
     """Put weights into a model, as much of them as fits.
 
     Args:
@@ -38,7 +38,7 @@ def begin_with(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> str:
         DataError: they fit in none of these ways.
     """
     state = {
-        str(key).removeprefix(PREFIX): value
+        str(key).removeprefix(WEIGHTS_PREFIX): value
         for key, value in dict(data.get("state_dict", data)).items()
         if isinstance(value, Tensor)
     }

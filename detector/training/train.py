@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from detector.checkpoint import CARD_KEY, Card, read_checkpoint
+from detector.checkpoint import METADATA_KEY, ModelMetadata, read_checkpoint
 from detector.data.dataset import (
     ShardSource,
     StepSampler,
@@ -31,7 +31,7 @@ from detector.device import gains_from_half
 from detector.model.anchor_fit import fit_anchors
 from detector.model.retinanet import build_model
 from detector.training.config import Preset, Trainer
-from detector.training.pretrained import begin_with
+from detector.training.pretrained import load_pretrained
 from labelgen.atomic_files import make_folder
 from labelgen.errors import LabelgenError, OutputError
 from labelgen.geometry import Region
@@ -95,24 +95,24 @@ def train(
     """
     machine = machine or Trainer()
     sources = open_sources(shards, preset.pair, preset.size_wh)
-    card, steps = _plan(preset, sources, seed)
-    judged = _open_validation(validation, card)
+    metadata, steps = _plan(preset, sources, seed)
+    judged = _open_validation(validation, metadata)
     last = out / LAST
     if resume:
-        card = _same_card(read_checkpoint(last).get(CARD_KEY), card, last)
+        metadata = _same_card(read_checkpoint(last).get(METADATA_KEY), metadata, last)
     elif last.exists() and not overwrite:
         raise OutputError(f"{out}: it holds a training; go on with --resume, or begin anew with --overwrite")
     make_folder(out)
     torch.manual_seed(seed)
-    model = build_model(card.config, weights="none" if weights or resume else preset.weights)
+    model = build_model(metadata.config, weights="none" if weights or resume else preset.weights)
     if weights is not None and not resume:
-        begin_with(model, read_checkpoint(weights), f"--weights {weights}")
-    samples = TrainingSamples(sources, card.size_wh, preset.whole, preset.crops, seed)
-    return _fit(model, preset, card, samples, judged, steps, out, last if resume else None, machine)
+        load_pretrained(model, read_checkpoint(weights), f"--weights {weights}")
+    samples = TrainingSamples(sources, metadata.size_wh, preset.whole, preset.crops, seed)
+    return _fit(model, preset, metadata, samples, judged, steps, out, last if resume else None, machine)
 
 
-def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[Card, int]:
-    """The checkpoint's card, and the number of steps in an epoch."""
+def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[ModelMetadata, int]:
+    """The checkpoint's metadata, and the number of steps in an epoch."""
     readers = [reader for source in sources for reader in source.shards.readers]
     pair = preset.pair or readers[0].pair
     pictures = [reader.size_wh for source in sources if not source.crops for reader in source.shards.readers]
@@ -132,12 +132,12 @@ def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[Ca
         "optimiser": preset.optimiser, "lr": preset.lr, "clip_norm": preset.clip_norm, "schedule": preset.schedule,
         "whole": asdict(preset.whole), "crops": asdict(preset.crops),
     }  # fmt: skip
-    card = Card(preset.name, pair, size_wh, config, max(heights), label_provenance(sources), training)
-    if card.region is Region.NONE and config.cc_weight:
+    metadata = ModelMetadata(preset.name, pair, size_wh, config, max(heights), label_provenance(sources), training)
+    if metadata.region is Region.NONE and config.cc_weight:
         raise LabelgenError(
             f"{readers[0].path}: its pictures are not rectified, so there is no c_c; use --preset orig2d"
         )
-    return card, steps
+    return metadata, steps
 
 
 def _boxes(source: ShardSource, preset: Preset, size_wh: tuple[int, int]) -> Array:
@@ -149,23 +149,23 @@ def _boxes(source: ShardSource, preset: Preset, size_wh: tuple[int, int]) -> Arr
     return np.concatenate([boxes * np.tile(base, 2) * end for end in ends])
 
 
-def _open_validation(paths: Sequence[str | Path], card: Card) -> ValidationSamples | None:
+def _open_validation(paths: Sequence[str | Path], metadata: ModelMetadata) -> ValidationSamples | None:
     if not paths:
         return None
     from labelgen.shards import ShardSet
 
-    open_sources(paths, card.pair, card.size_wh)  # refuses what does not fit
+    open_sources(paths, metadata.pair, metadata.size_wh)  # refuses what does not fit
     return ValidationSamples(ShardSet(paths))
 
 
-def _same_card(stored: Any, card: Card, path: Path) -> Card:
-    """The stored card, if training goes on under the same settings."""
-    before = Card.from_dict(stored, f"checkpoint {path}")
+def _same_card(stored: Any, metadata: ModelMetadata, path: Path) -> ModelMetadata:
+    """The stored metadata, if training goes on under the same settings."""
+    before = ModelMetadata.from_dict(stored, f"checkpoint {path}")
     pairs = {
-        "preset": (before.preset, card.preset),
-        "pair and size": ((before.pair, before.size_wh), (card.pair, card.size_wh)),
-        "shards": (before.labels, card.labels),
-        **{key: (before.training.get(key), value) for key, value in card.to_dict()["training"].items()},
+        "preset": (before.preset, metadata.preset),
+        "pair and size": ((before.pair, before.size_wh), (metadata.pair, metadata.size_wh)),
+        "shards": (before.labels, metadata.labels),
+        **{key: (before.training.get(key), value) for key, value in metadata.to_dict()["training"].items()},
     }
     changed = [name for name, (old, new) in pairs.items() if _plain(old) != _plain(new)]
     if changed:
@@ -190,7 +190,7 @@ def _precision(preset: Preset, machine: Trainer) -> Any:
 
 
 def _fit(
-    model: Any, preset: Preset, card: Card, samples: TrainingSamples, judged: ValidationSamples | None, steps: int,
+    model: Any, preset: Preset, metadata: ModelMetadata, samples: TrainingSamples, judged: ValidationSamples | None, steps: int,
     out: Path, resume_from: Path | None, machine: Trainer,
 ) -> TrainSummary:  # fmt: skip
     try:
@@ -201,7 +201,7 @@ def _fit(
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {INSTALL_HINT}") from None
 
-    module = DetectorModule(model, preset, card, preset.epochs * steps, judged)
+    module = DetectorModule(model, preset, metadata, preset.epochs * steps, judged)
     trainer = pl.Trainer(
         accelerator=machine.accelerator, devices=machine.devices, num_nodes=machine.num_nodes,
         strategy=machine.strategy, precision=machine.precision or _precision(preset, machine), max_epochs=preset.epochs,

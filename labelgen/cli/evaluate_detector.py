@@ -12,8 +12,7 @@ from labelgen.cli.options import JsonOption, print_table, write_json_report
 
 if TYPE_CHECKING:
     from detector.inference import Detector
-    from detector.metrics import Found
-    from labelgen.labels import Sample
+    from labelgen.labels import Labels, Sample
     from labelgen.shards import ShardSet
 
 __all__ = ["detector_test"]
@@ -34,28 +33,28 @@ def detector_test(
     Figures ending in _whole leave truncated labels out: they need not be found and cost nothing when they are.
     """
     from detector.data.dataset import open_sources
-    from detector.inference import Detector
-    from detector.metrics import evaluate
+    from detector.inference import load_detector
+    from detector.metrics import evaluate_detections
     from labelgen.shards import ShardSet
 
-    detector = Detector.load(checkpoint, device=device)
-    card = detector.card
-    open_sources(shards, card.pair, card.size_wh)
+    detector = load_detector(checkpoint, device=device)
+    metadata = detector.metadata
+    open_sources(shards, metadata.pair, metadata.size_wh)
     samples = ShardSet(shards)
-    result = evaluate(_run(detector, samples, batch), score=score, min_height_px=card.min_height_px)
-    size = "{}x{}".format(*card.size_wh)
-    typer.echo(f"{checkpoint.name} ({card.preset}, {card.pair}, {size}) on {len(samples)} pictures")
+    result = evaluate_detections(_run(detector, samples, batch), score=score, min_height_px=metadata.min_height_px)
+    size = "{}x{}".format(*metadata.size_wh)
+    typer.echo(f"{checkpoint.name} ({metadata.preset}, {metadata.pair}, {size}) on {len(samples)} pictures")
     print_table(_rows(result))
-    write_json_report(json_file, {"checkpoint": str(checkpoint), "preset": card.preset, **result})
+    write_json_report(json_file, {"checkpoint": str(checkpoint), "preset": metadata.preset, **result})
 
 
-def _run(detector: Detector, samples: ShardSet, batch: int) -> Iterator[tuple[Sample, Found]]:
+def _run(detector: Detector, samples: ShardSet, batch: int) -> Iterator[tuple[Sample, Labels]]:
     from tqdm import tqdm
 
     with tqdm(total=len(samples), unit="img") as bar:
         for start in range(0, len(samples), batch):
             part = [samples[i] for i in range(start, min(start + batch, len(samples)))]
-            yield from zip(part, detector([detector.picture(sample) for sample in part]), strict=True)
+            yield from zip(part, detector.detect([detector.input_of_sample(sample) for sample in part]), strict=True)
             bar.update(len(part))
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from detector.checkpoint import Card
+    from detector.checkpoint import ModelMetadata
 
 __all__ = ["export_model"]
 
@@ -40,33 +40,33 @@ def export_model(
         raise LabelgenError(f"--format {format_}: unknown; use onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out}: it exists already; use --overwrite or another --out")
-    card = export_onnx(checkpoint, out, score=score)
+    metadata = export_onnx(checkpoint, out, score=score)
     rows: list[tuple[str, Any]] = [
-        ("in", out), ("size", "{}x{}".format(*card.size_wh)), ("bytes", out.stat().st_size)
+        ("in", out), ("size", "{}x{}".format(*metadata.size_wh)), ("bytes", out.stat().st_size)
     ]  # fmt: skip
     parity = None
     if check is not None:
-        parity = check_onnx(checkpoint, out, _pictures(check, card), score=score)
+        parity = check_onnx(checkpoint, out, _pictures(check, metadata), score=score)
         rows += [("boxes compared", parity.boxes), ("greatest difference, px", f"{parity.px:.2e}")]
         rows += [("of scores", f"{parity.score:.2e}"), ("of c_c, sizes", f"{parity.cc:.2e}, {parity.sizes:.2e}")]
-    typer.echo(f"Exported {checkpoint.name} ({card.preset}, {card.pair})")
+    typer.echo(f"Exported {checkpoint.name} ({metadata.preset}, {metadata.pair})")
     print_table(rows)
     write_json_report(
         json_file,
         {
-            "out": str(out), "pair": str(card.pair), "size": list(card.size_wh),
+            "out": str(out), "pair": str(metadata.pair), "size": list(metadata.size_wh),
             "parity": None if parity is None else asdict(parity),
         },
     )  # fmt: skip
 
 
-def _pictures(shards: Path, card: Card) -> list[NDArray[np.float32]]:
+def _pictures(shards: Path, metadata: ModelMetadata) -> list[NDArray[np.float32]]:
     import numpy as np
 
     from detector.data.dataset import open_sources
     from labelgen.shards import ShardSet
 
-    open_sources([shards], card.pair, card.size_wh)
+    open_sources([shards], metadata.pair, metadata.size_wh)
     samples = ShardSet([shards])
     chosen = np.unique(np.linspace(0, len(samples) - 1, _CHECKED).astype(int)).tolist()
     return [samples[i].image[:, :, ::-1].transpose(2, 0, 1).astype(np.float32) / np.float32(255) for i in chosen]

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from detector_shards import painted_sample
 
-from detector.metrics import Found, average_precision, evaluate, match_boxes
-from detector.model.anchor_fit import best_anchor_iou, fit_anchors
+from detector.metrics import average_precision, evaluate_detections, match_boxes
 from labelgen.errors import LabelgenError
 from labelgen.geometry import decode_boxes, front_bottom_midpoints
-from labelgen.labels import Sample
+from labelgen.labels import Labels, Sample
 
 SAMPLES = [s for s in (painted_sample(seed) for seed in range(12)) if len(s.labels)]
 
 
-def perfect(sample: Sample) -> Found:
-    n = len(sample.labels)
-    return Found(sample.labels.boxes_xyxy, sample.labels.cc, np.linspace(0.9, 0.8, n))
+def perfect(sample: Sample) -> Labels:
+    return scored(sample.labels.boxes_xyxy, sample.labels.cc, np.linspace(0.9, 0.8, len(sample.labels)))
+
+
+def scored(boxes_xyxy: Any, cc: Any, scores: Any) -> Labels:
+    return Labels(np.asarray(boxes_xyxy), np.asarray(cc), scores=np.asarray(scores))
 
 
 def test_perfect_detections() -> None:
-    result = evaluate((sample, perfect(sample)) for sample in SAMPLES)
+    result = evaluate_detections((sample, perfect(sample)) for sample in SAMPLES)
     assert [result[key] for key in ("ap", "ap50", "ap75", "ap50_whole")] == pytest.approx([1, 1, 1, 1])
     assert result["recall"] == result["precision"] == 1
     assert result["invalid_share"] == 0
@@ -30,8 +34,8 @@ def test_perfect_detections() -> None:
 
 
 def test_no_detections() -> None:
-    empty = Found(np.empty((0, 4)), np.empty(0), np.empty(0))
-    result = evaluate((sample, empty) for sample in SAMPLES)
+    empty = Labels.empty()
+    result = evaluate_detections((sample, empty) for sample in SAMPLES)
     assert result["ap"] == result["recall"] == 0
     assert result["precision"] is None
     assert result["cc_error"] == {"n": 0, "median": None, "mean": None, "p95": None}
@@ -40,7 +44,7 @@ def test_no_detections() -> None:
 def test_ap_of_a_hand_computed_case() -> None:
     """Two labels; detections right, wrong, right: precision 1 up to recall 1/2, then 2/3 (COCO samples 101 recalls)."""
     truth = np.array([[0.0, 0, 10, 10], [50, 0, 60, 10]])
-    found = Found(
+    found = scored(
         np.array([[0.0, 0, 10, 10], [200, 0, 210, 10], [50, 0, 60, 10]]), np.zeros(3), np.array([0.9, 0.8, 0.7])
     )
     result = average_precision([truth], [np.zeros(2, dtype=np.bool_)], [found])
@@ -50,7 +54,7 @@ def test_ap_of_a_hand_computed_case() -> None:
 def test_iou_thresholds_of_ap() -> None:
     truth = np.array([[0.0, 0, 100, 10]])
     # IoU 0.7: right for 0.5 to 0.7, five of the ten thresholds.
-    found = Found(np.array([[0.0, 0, 70.1, 10]]), np.zeros(1), np.ones(1))
+    found = scored(np.array([[0.0, 0, 70.1, 10]]), np.zeros(1), np.ones(1))
     result = average_precision([truth], [np.zeros(1, dtype=np.bool_)], [found])
     assert (result["ap50"], result["ap75"], result["ap"]) == pytest.approx((1.0, 0.0, 0.5))
 
@@ -58,16 +62,16 @@ def test_iou_thresholds_of_ap() -> None:
 def test_ignored_labels_cost_nothing_either_way() -> None:
     truth = np.array([[0.0, 0, 10, 10], [50, 0, 60, 10]])
     ignored = np.array([False, True])
-    one = Found(truth[:1], np.zeros(1), np.array([0.5]))
-    both = Found(truth[::-1], np.zeros(2), np.array([0.9, 0.5]))
+    one = scored(truth[:1], np.zeros(1), np.array([0.5]))
+    both = scored(truth[::-1], np.zeros(2), np.array([0.9, 0.5]))
     for found in (one, both):
         assert average_precision([truth], [ignored], [found])["ap50"] == pytest.approx(1)
 
 
 def test_errors_of_cc_and_ground_point() -> None:
     sample = SAMPLES[0]
-    shifted = Found(sample.labels.boxes_xyxy, sample.labels.cc + 0.05, np.ones(len(sample.labels)))
-    result = evaluate([(sample, shifted)])
+    shifted = scored(sample.labels.boxes_xyxy, sample.labels.cc + 0.05, np.ones(len(sample.labels)))
+    result = evaluate_detections([(sample, shifted)])
     assert result["cc_error"]["median"] == pytest.approx(0.05)
     vpu = sample.rectification.vpu
     feet = [
@@ -83,11 +87,11 @@ def test_low_detections_are_left_out_where_low_labels_were_never_made() -> None:
     sample = SAMPLES[0]
     labels = sample.labels
     low = np.array([[0.0, 0, 20, 8]])
-    found = Found(
+    found = scored(
         np.concatenate([low, labels.boxes_xyxy]), np.concatenate([[0.5], labels.cc]), np.ones(len(labels) + 1)
     )
-    assert evaluate([(sample, found)])["precision"] < 1
-    assert evaluate([(sample, found)], min_height_px=10)["precision"] == 1
+    assert evaluate_detections([(sample, found)])["precision"] < 1
+    assert evaluate_detections([(sample, found)], min_height_px=10)["precision"] == 1
 
 
 def test_each_label_is_found_once_by_the_best_score() -> None:
@@ -99,16 +103,4 @@ def test_each_label_is_found_once_by_the_best_score() -> None:
 
 def test_no_samples_is_an_error() -> None:
     with pytest.raises(LabelgenError, match="no samples"):
-        evaluate([])
-
-
-def test_anchors_fit_the_data() -> None:
-    rng = np.random.default_rng(0)
-    sides = np.exp(rng.uniform(np.log(12), np.log(200), (500, 1))) * np.exp(rng.normal(0, 0.2, (500, 2)))
-    boxes = np.concatenate([np.zeros((500, 2)), sides], axis=1)
-    sizes, ratios = fit_anchors(boxes, levels=3, per_level=2)
-    assert [len(row) for row in sizes] == [2, 2, 2]
-    assert sorted(v for row in sizes for v in row) == [v for row in sizes for v in row]
-    assert len(ratios) == 3
-    assert np.mean(best_anchor_iou(boxes, sizes, ratios) >= 0.5) > 0.97
-    assert best_anchor_iou(np.array([[0.0, 0, 20, 10]]), ((np.sqrt(200),),), (0.5,))[0] == pytest.approx(1)
+        evaluate_detections([])

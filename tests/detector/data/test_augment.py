@@ -9,7 +9,14 @@ from detector_shards import painted_sample
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detector.data.augment import AxisMap, Ranges, Target, change_light, cut_to_image, draw_map
+from detector.data.augment import (
+    AugmentationRanges,
+    AxisAlignedAffine,
+    Target,
+    clip_to_image,
+    jitter_color,
+    sample_affine,
+)
 from labelgen.geometry import Pair, decode_boxes, encode_boxes
 from labelgen.labels import Flag, Labels
 
@@ -32,7 +39,7 @@ def test_decoding_and_augmenting_commute(seed: int, pair: Pair, flip: bool, aspe
     size = SIZE if pair is Pair.VP2_VP3 else SIZE[::-1]
     sample = painted_sample(seed % 50, size, pair)
     rng = np.random.default_rng(seed)
-    move = draw_map(rng, Ranges(0.3, (0.5, 2.0), aspect, float(flip)), size, size)
+    move = sample_affine(rng, AugmentationRanges(0.3, (0.5, 2.0), aspect, float(flip)), size, size)
     labels, vpu = sample.labels, sample.rectification.vpu
     before, valid = decode_boxes(labels.boxes_xyxy, labels.cc, vpu)
     after, still_valid = decode_boxes(move.boxes(labels.boxes_xyxy), labels.cc, move.points(vpu))
@@ -53,7 +60,7 @@ def test_picture_and_boxes_move_together(scale: tuple[float, float]) -> None:
     image = np.zeros((96, 160, 3), np.uint8)
     image[30:70, 40:100] = 200
     shift = (100.0 if scale[0] > 0 else 150.0, 7.0) if abs(scale[0]) < 1 or scale[0] < 0 else (-20.0, -15.0)
-    move = AxisMap(scale, shift)
+    move = AxisAlignedAffine(scale, shift)
     bright = move.image(image, SIZE)[:, :, 0] >= 100
     ys, xs = np.nonzero(bright)
     seen = [xs.min(), ys.min(), xs.max() + 1, ys.max() + 1]
@@ -63,7 +70,7 @@ def test_picture_and_boxes_move_together(scale: tuple[float, float]) -> None:
 
 def test_a_flip_of_the_whole_picture_is_exact() -> None:
     image = np.random.default_rng(0).integers(0, 255, (96, 160, 3), np.uint8)
-    move = AxisMap((-1.0, 1.0), (160.0, 0.0))
+    move = AxisAlignedAffine((-1.0, 1.0), (160.0, 0.0))
     np.testing.assert_array_equal(move.image(image, SIZE), image[:, ::-1])
     np.testing.assert_array_equal(move.boxes([[10, 20, 30, 40]]), [[130, 20, 150, 40]])
 
@@ -81,7 +88,7 @@ def test_a_flip_of_the_whole_picture_is_exact() -> None:
     ],
 )
 def test_cutting_a_box(box: list[float], cc: float, left: list[float], cc_left: float, known: bool) -> None:
-    cut = cut_to_image(target([box], [cc]), SIZE)
+    cut = clip_to_image(target([box], [cc]), SIZE)
     assert cut.boxes_xyxy.tolist() == [left]
     assert cut.cc_known.tolist() == [known]
     assert cut.cc[0] == pytest.approx(cc_left)
@@ -89,7 +96,7 @@ def test_cutting_a_box(box: list[float], cc: float, left: list[float], cc_left: 
 
 @pytest.mark.parametrize("box", [[-90, 10, 10, 50], [200, 10, 240, 50], [10, 10, 13, 50], [10, 93, 60, 200]])
 def test_what_is_all_but_gone_goes(box: list[float]) -> None:
-    assert len(cut_to_image(target([box], [0.5]), SIZE).cc) == 0
+    assert len(clip_to_image(target([box], [0.5]), SIZE).cc) == 0
 
 
 def test_cc_of_truncated_labels_is_not_learnt_from() -> None:
@@ -100,9 +107,9 @@ def test_cc_of_truncated_labels_is_not_learnt_from() -> None:
 
 
 def test_crops_fill_the_picture_at_scale_one() -> None:
-    move = draw_map(np.random.default_rng(0), Ranges(), (80, 48), SIZE, fill=True)
+    move = sample_affine(np.random.default_rng(0), AugmentationRanges(), (80, 48), SIZE, fill=True)
     np.testing.assert_allclose(move.boxes([[0, 0, 80, 48]]), [[0, 0, 160, 96]])
-    small = draw_map(np.random.default_rng(0), Ranges(scale=(0.1, 0.1)), (80, 48), SIZE, fill=True)
+    small = sample_affine(np.random.default_rng(0), AugmentationRanges(scale=(0.1, 0.1)), (80, 48), SIZE, fill=True)
     sides = np.diff(small.boxes([[0, 0, 80, 48]]).reshape(2, 2), axis=0)
     np.testing.assert_allclose(sides, [[16, 9.6]])
 
@@ -110,9 +117,9 @@ def test_crops_fill_the_picture_at_scale_one() -> None:
 def test_light_keeps_black_black_and_shape() -> None:
     image = np.zeros((20, 30, 3), np.uint8)
     image[5:, 5:] = cv2.resize(np.random.default_rng(0).integers(1, 255, (5, 5, 3), np.uint8), (25, 15))
-    changed = change_light(np.random.default_rng(1), image, 0.3)
+    changed = jitter_color(np.random.default_rng(1), image, 0.3)
     assert changed.shape == image.shape
     assert changed.dtype == np.uint8
     assert (changed[:5] == 0).all()
     assert (changed[5:, 5:] != image[5:, 5:]).any()
-    np.testing.assert_array_equal(change_light(np.random.default_rng(1), image, 0.3), changed)
+    np.testing.assert_array_equal(jitter_color(np.random.default_rng(1), image, 0.3), changed)

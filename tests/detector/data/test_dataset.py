@@ -11,7 +11,7 @@ import pytest
 import torch
 from detector_shards import write_painted_shards
 
-from detector.data.augment import Ranges
+from detector.data.augment import AugmentationRanges
 from detector.data.dataset import (
     StepSampler,
     TrainingSamples,
@@ -25,8 +25,8 @@ from labelgen.geometry import Pair
 from labelgen.shards import ShardSet
 
 SIZE = (160, 96)
-WHOLE = Ranges(0.2, (0.8, 1.4), 1.2, 0.5, 0.2)
-CROPS = Ranges(0.4, (0.2, 0.6), 1.0, 0.5)
+WHOLE = AugmentationRanges(0.2, (0.8, 1.4), 1.2, 0.5, 0.2)
+CROPS = AugmentationRanges(0.4, (0.2, 0.6), 1.0, 0.5)
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,15 @@ import pytest
 import torch
 from random_cameras import random_camera
 
-from detector.data.augment import AxisMap
+from detector.data.augment import AxisAlignedAffine
 from detector.model.retinanet import CcHead, ModelConfig, build_model
 from detector.model.vehicle_size import (
     TYPICAL_HEIGHT_M,
     TYPICAL_LENGTH_M,
     merge_sizes,
-    moved_scene,
     scene_vector,
     sizes_from_cc,
+    transform_scene,
 )
 from detector.training.config import PRESETS
 from labelgen.errors import LabelgenError
@@ -70,8 +70,8 @@ def test_c_c_is_what_the_sizes_say(pair: Pair) -> None:
         metres = np.stack([tall if pair is Pair.VP2_VP3 else tall / (1 - tall), long], axis=1) * camera.height_m
         wanted = np.log(metres / [TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M])
         scene = scene_of(camera, rectification)
-        move = AxisMap((-1.7, 0.6), (500.0, 40.0))
-        moved = torch.from_numpy(moved_scene(scene, move.scale_xy[1], move.shift_xy[1]))
+        move = AxisAlignedAffine((-1.7, 0.6), (500.0, 40.0))
+        moved = torch.from_numpy(transform_scene(scene, move.scale_xy[1], move.shift_xy[1]))
         np.testing.assert_allclose(sizes_from_cc(cc, torch.from_numpy(boxes), scene), wanted, atol=1e-5)
         for where, at in ((boxes, scene), (move.boxes(boxes), moved)):
             again, same = merge_sizes(

@@ -12,7 +12,7 @@ from torchvision.models.detection import RetinaNet
 
 from detector.model.backbone import build_backbone
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
-from detector.training.pretrained import begin_with
+from detector.training.pretrained import load_pretrained
 from labelgen.errors import DataError
 
 LIGHT = ModelConfig(
@@ -32,7 +32,7 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor], keys: list[str]
 def test_a_checkpoint_is_taken_whole() -> None:
     before, after = model(), model()
     state = {f"model.{key}": value for key, value in before.state_dict().items()}
-    assert begin_with(after, {"state_dict": state, "labelgen": {}}, "x") == "detector"
+    assert load_pretrained(after, {"state_dict": state, "labelgen": {}}, "x") == "detector"
     assert same(before.state_dict(), after.state_dict(), list(before.state_dict()))
 
 
@@ -42,7 +42,7 @@ def test_torchvisions_file_of_the_backbone(backbone: str, norm: str) -> None:
     ours = model(backbone=backbone, trunk_norm=norm)
     pyramid = {k: v.clone() for k, v in ours.state_dict().items() if k.startswith("backbone.fpn.")}
     state = models.get_model(backbone, weights=None).state_dict()
-    assert begin_with(ours, state, "x") == "trunk"
+    assert load_pretrained(ours, state, "x") == "trunk"
     plain = build_backbone(backbone, LIGHT.levels, LIGHT.channels, norm=norm).body.state_dict()
     theirs = {key.removeprefix("features."): value for key, value in state.items()}
     assert same(ours.backbone.body.state_dict(), theirs, [key for key in plain if not key.endswith("tracked")])
@@ -56,7 +56,7 @@ def test_torchvisions_retinanet_gives_all_that_fits() -> None:
     )
     state = theirs.state_dict()
     scores = ours.head.classification_head.cls_logits.weight.clone()
-    assert begin_with(ours, state, "x") == "torchvision RetinaNet"
+    assert load_pretrained(ours, state, "x") == "torchvision RetinaNet"
     taken = [key for key in state if key.startswith("backbone.")]
     taken += ["head.classification_head.conv.0.0.weight", "head.regression_head.bbox_reg.weight"]
     assert same(ours.state_dict(), state, taken)
@@ -77,5 +77,5 @@ def test_weights_that_fit_nowhere(state: Callable[[], Any], message: str) -> Non
     ours = model()
     before = {key: value.clone() for key, value in ours.state_dict().items()}
     with pytest.raises(DataError, match=message):
-        begin_with(ours, state(), "--weights x")
+        load_pretrained(ours, state(), "--weights x")
     assert same(ours.state_dict(), before, list(before))

@@ -16,7 +16,7 @@ import torch
 from clips import write_clip
 from detector_shards import write_painted_shards
 
-from detector.checkpoint import CARD_KEY, load_detector, read_checkpoint
+from detector.checkpoint import METADATA_KEY, load_model, read_checkpoint
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
 
@@ -79,13 +79,13 @@ def test_what_a_run_leaves(trained: Path) -> None:
 
 def test_a_checkpoint_carries_its_card(trained: Path) -> None:
     data = torch.load(trained / "last.ckpt", weights_only=True)
-    card = data[CARD_KEY]
-    assert (card["preset"], card["pair"], tuple(card["size_wh"])) == ("small", "VP2-VP3", (160, 96))
-    assert card["producer"].startswith("labelgen ")
-    assert card["labels"][0]["settings"] == [{"kind": "exact"}]
-    assert card["training"]["seed"] == 0
-    model, loaded = load_detector(trained / "last.ckpt")
-    assert loaded.to_dict() == card
+    metadata = data[METADATA_KEY]
+    assert (metadata["preset"], metadata["pair"], tuple(metadata["size_wh"])) == ("small", "VP2-VP3", (160, 96))
+    assert metadata["producer"].startswith("labelgen ")
+    assert metadata["labels"][0]["settings"] == [{"kind": "exact"}]
+    assert metadata["training"]["seed"] == 0
+    model, loaded = load_model(trained / "last.ckpt")
+    assert loaded.to_dict() == metadata
     assert not model.training
 
 
@@ -208,10 +208,10 @@ def test_a_checkpoint_with_code_inside_is_refused(tmp_path: Path) -> None:
         read_checkpoint(path)
     path.write_bytes(b"nonsense")
     with pytest.raises(DataError, match=r"bad\.ckpt"):
-        load_detector(path)
+        load_model(path)
     torch.save({"state_dict": {}}, path)
     with pytest.raises(DataError, match="not a checkpoint of a labelgen detector"):
-        load_detector(path)
+        load_model(path)
 
 
 @pytest.mark.parametrize("judged", [False, True])
@@ -231,17 +231,17 @@ def test_published_schedule_runs_with_and_without_validation(shards: Path, tmp_p
     )  # fmt: skip
     assert summary.steps == 2
     assert (summary.best is not None) == judged
-    assert load_detector(summary.checkpoint)[1].training["schedule"] == "plateau"
+    assert load_model(summary.checkpoint)[1].training["schedule"] == "plateau"
 
 
 @pytest.mark.slow
 def test_overfits_sixteen_samples(tmp_path: Path) -> None:
-    from detector.data.augment import Ranges
+    from detector.data.augment import AugmentationRanges
     from detector.training.config import Trainer, find_preset
     from detector.training.train import train
 
     shards = write_painted_shards(tmp_path / "shards", 16)
-    preset = find_preset("small", epochs=1, steps_per_epoch=100, batch=8, whole=Ranges())
+    preset = find_preset("small", epochs=1, steps_per_epoch=100, batch=8, whole=AugmentationRanges())
     summary = train(
         [shards], preset, tmp_path / "run", validation=[shards],
         machine=Trainer(accelerator="cpu", checkpoint_every=0, progress=False),

@@ -9,7 +9,7 @@ import pytest
 import torch
 from detector_shards import write_painted_shards
 
-from detector.checkpoint import CARD_KEY, Card
+from detector.checkpoint import METADATA_KEY, ModelMetadata
 from detector.model.retinanet import ModelConfig, build_model
 from labelgen.geometry import Pair
 from labelgen.synth.truth.session import write_session
@@ -57,9 +57,9 @@ def test_sizes_benchmark(tmp_path: Path) -> None:
         backbone="mobilenet_v3_small", channels=16, head_convs=1, levels=(3, 4), anchor_sizes=((32.0,), (64.0,))
     )
     model = build_model(config)
-    card = Card("paper-640x360", Pair.VP2_VP3, (640, 360), config, 10.0, [], {})
+    metadata = ModelMetadata("paper-640x360", Pair.VP2_VP3, (640, 360), config, 10.0, [], {})
     checkpoint, out = tmp_path / "model.ckpt", tmp_path / "out.json"
-    torch.save({"state_dict": model.state_dict(), CARD_KEY: card.to_dict()}, checkpoint)
+    torch.save({"state_dict": model.state_dict(), METADATA_KEY: metadata.to_dict()}, checkpoint)
     benchmark_sizes.main(
         [str(checkpoint), str(Path(session.files["video"]).parent), "--sizes", "480x270", "270x480", "--frames", "4",
          "--rounds", "1", "--device", "cpu", "--no-compile", "--json", str(out)]
