@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labelgen.drawing import GREEN, YELLOW, Picture, draw_box3d, draw_polyline, draw_text
 from labelgen.geometry import decode_boxes
@@ -33,7 +34,7 @@ def draw_sample(sample: Sample, detections: Labels, score: float = 0.5) -> Pictu
     return image
 
 
-def draw_boxes(image: Picture, boxes_xyxy: Array, cc: Array, scores: Array, vpu: Array) -> None:
+def draw_boxes(image: Picture, boxes_xyxy: Array, cc: Array, scores: NDArray[np.floating], vpu: Array) -> None:
     """Draw detections as 3D boxes, or as yellow 2D boxes where c_c gives no valid 3D box, with their scores.
 
     Args:

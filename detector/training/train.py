@@ -190,8 +190,8 @@ def _precision(preset: Preset, machine: Trainer) -> Any:
 
 
 def _fit(
-    model: Any, preset: Preset, metadata: ModelMetadata, samples: TrainingSamples, judged: ValidationSamples | None, steps: int,
-    out: Path, resume_from: Path | None, machine: Trainer,
+    model: Any, preset: Preset, metadata: ModelMetadata, samples: TrainingSamples, judged: ValidationSamples | None,
+    steps: int, out: Path, resume_from: Path | None, machine: Trainer,
 ) -> TrainSummary:  # fmt: skip
     try:
         import lightning.pytorch as pl

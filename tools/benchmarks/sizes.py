@@ -74,7 +74,7 @@ def _ways(
     def plain(half: bool) -> Detector:
         network: Any = _WithoutCc(deepcopy(model), half)
         detector = Detector(network, metadata, device=device, half=False, fold=False)
-        detector.model.retinanet.to(memory_format=torch.contiguous_format)
+        detector.model.to(memory_format=torch.contiguous_format)
         return detector
 
     def ours(half: bool, compiled: bool = False) -> Detector:
