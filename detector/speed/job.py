@@ -146,8 +146,8 @@ def _job_from_model(options: SpeedOptions, checkpoint: Path) -> SpeedJob:
     if any(given and given != own for given, own in zip(asked, (metadata.pair, metadata.size_wh), strict=True)):
         raise LabelgenError(
             f"--from {options.from_}: it sees {metadata.pair} pictures of "
-            f"{metadata.size_wh[0]}x{metadata.size_wh[1]}; leave out --pair and --size, or use a checkpoint trained for "
-            "them"
+            f"{metadata.size_wh[0]}x{metadata.size_wh[1]}; leave out --pair and --size, or use a checkpoint trained "
+            "for them"
         )
     frames, camera, road, rate = _open(options)
     variant = Variant.parse(options.variant) if options.variant else None
