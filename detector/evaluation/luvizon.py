@@ -1,43 +1,69 @@
-"""The evaluation protocol of the Luvizon data set: speed errors within [-3, +2] km/h and recall, by lanes.
+"""The evaluation protocol of the Luvizon data set: recall, and the share of speed errors within [-3, +2] km/h.
 
-One calibration serves all lanes, with a scale for each. Errors are measured minus true; the public script takes the
-opposite sign, so its share is given beside ours.
+One calibration serves all lanes, with a scale factor for each. Errors are measured minus true. The public script takes
+the opposite sign, so the share with that sign is given too.
+
+Source: Luvizon, Nassu, Minetto, "A Video-Based System for Vehicle Speed Measurement in Urban Roadways", IEEE T-ITS
+2017.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
+from detector.evaluation.results_folder import result_file_name
 from detector.evaluation.summary import Value
 from detector.tracking.per_track import gap_speeds_kmh
-from detector.tracking.tracks import Tracks
-from labelgen.datasets.luvizon import LANES, LuvizonVideo
+from detector.tracking.tracks import Tracks, read_results
+from labelgen.datasets.luvizon import LANES, LuvizonVideo, read_luvizon_video
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array, IntArray, apply_homography
 
-__all__ = ["FPS", "LIMITS_KMH", "LuvizonScore", "fit_lane_scales", "luvizon_row", "score_luvizon", "track_lanes"]
+__all__ = [
+    "LuvizonRules",
+    "LuvizonScore",
+    "ScoredVideo",
+    "luvizon_row",
+    "score_luvizon",
+    "score_luvizon_results",
+    "track_lanes",
+]
 
-FPS = 30.15
-LIMITS_KMH = (-3.0, 2.0)
+
+@dataclass(frozen=True)
+class LuvizonRules:
+    """Constants of the data set's evaluation. Scores with other values cannot be compared with published ones.
+
+    Args:
+        fps: frames per second of the videos.
+        limits_kmh: km/h; lowest and highest error that authorities in several countries accept.
+    """
+
+    fps: float = 30.15
+    limits_kmh: tuple[float, float] = (-3.0, 2.0)
+
+
+_RULES = LuvizonRules()
 
 
 @dataclass(frozen=True, eq=False)
 class LuvizonScore:
-    """What one system reached on one video; V vehicles that count.
+    """Score of one system on one video, with V vehicles that count.
 
     Args:
         lanes: (V,) lane numbers.
         truth_kmh: (V,) true speeds.
-        speeds_kmh: (V,) measured speeds; NaN where no track was found.
-        tracks: (V,) which track was taken; -1 for none.
-        tracks_read: cars in the result file.
-        tracks_unused: tracks without a lane or without a speed.
+        speeds_kmh: (V,) measured speeds; NaN where no track is matched.
+        tracks: (V,) number of the matched track; -1 for none.
+        tracks_read: number of cars in the result file.
+        tracks_unused: number of tracks without a lane or without a speed.
     """
 
     lanes: IntArray
@@ -48,8 +74,18 @@ class LuvizonScore:
     tracks_unused: int
 
 
+@dataclass(frozen=True, eq=False)
+class ScoredVideo:
+    """Score of one result file, with the names of video and system and of the file in the results folder."""
+
+    video: str
+    system: str
+    tracks: str
+    score: LuvizonScore
+
+
 def track_lanes(tracks: Tracks, video: LuvizonVideo) -> IntArray:
-    """(N,) lane in which most of a track's points lie; 0 for tracks with no point in a lane."""
+    """Return (N,) the lane in which most points of each track lie; 0 for tracks with no point in a lane."""
     x, y = tracks.points_px.T
     numbers = sorted(video.lane_areas)
     counts = [tracks.count(shapely.intersects_xy(video.lane_areas[lane], x, y)) for lane in numbers]
@@ -59,19 +95,23 @@ def track_lanes(tracks: Tracks, video: LuvizonVideo) -> IntArray:
 
 
 def _speeds_kmh(tracks: Tracks, video: LuvizonVideo, lanes: IntArray, camera: Camera | None, scales: Array) -> Array:
-    """(N,) speeds with each lane's scale; NaN for tracks without a lane."""
+    """Return (N,) speeds with the scale of each lane; NaN for tracks without a lane."""
     if camera is None:
         matrices = np.concatenate([np.eye(3)[None], video.homographies])[lanes[tracks.owners]]
         points = apply_homography(matrices, tracks.points_px[:, None], behind="keep")[:, 0]
     else:
         points = camera.road_points(tracks.points_px, invalid="nan")
-    speeds = gap_speeds_kmh(points, tracks.frames / FPS, tracks.offsets)
+    speeds = gap_speeds_kmh(points, tracks.frames / _RULES.fps, tracks.offsets)
     scaled: Array = speeds * np.concatenate([[np.nan], scales])[lanes]
     return scaled
 
 
 def _match(video: LuvizonVideo, tracks: Tracks, lanes: IntArray) -> IntArray:
-    """(V,) for each vehicle, in file order, the free track of its lane with the best temporal IoU; -1 for none."""
+    """Match vehicles, in file order, with the free track of their lane that has the best temporal IoU.
+
+    Returns:
+        (V,) number of the track; -1 for none. Each track is taken once.
+    """
     match = np.full(len(video), -1)
     if not len(tracks):
         return match
@@ -96,17 +136,19 @@ def score_luvizon(
     """Score the tracks of one video.
 
     Args:
-        video: its ground truth.
+        video: ground truth of the video.
         tracks: as read from a result file.
-        camera: the calibration for all lanes, with a scale; None takes the publisher's homographies.
-        lane_scales: (3,) factors by which each lane's distances are multiplied.
+        camera: calibration for all lanes, with a scale; None takes the homographies of the data set.
+        lane_scales: (3,) factors by which the distances of each lane are multiplied.
 
     Raises:
-        CalibrationError: the camera has no scale, or the lanes' scales are not three positive numbers.
+        CalibrationError: the camera has no scale, or `lane_scales` are not three positive numbers.
     """
     scales = np.asarray(lane_scales, dtype=np.float64)
     if scales.shape != (LANES,) or not (np.isfinite(scales) & (scales > 0)).all():
-        raise CalibrationError(f"lane_scales: expected {LANES} positive numbers, got {lane_scales!r}")
+        raise CalibrationError(
+            f"lane_scales: expected {LANES} positive numbers, got {lane_scales!r}", parameter="lane_scales"
+        )
     lanes = track_lanes(tracks, video)
     speeds = _speeds_kmh(tracks, video, lanes, camera, scales)
     lanes = np.where(np.isfinite(speeds), lanes, 0)
@@ -123,50 +165,56 @@ def score_luvizon(
     )
 
 
-def fit_lane_scales(scores: Sequence[LuvizonScore]) -> Array:
-    """(3,) lane scales that bring the median of true / measured speed to one, from scores with scales of one.
+def score_luvizon_results(
+    dataset: Path, results: Path, videos: Sequence[str], systems: Sequence[str]
+) -> Iterator[ScoredVideo]:
+    """Score systems on videos, one after the other; the systems of a video follow each other.
 
-    Take scores of the training videos here, never of those to report.
+    The file of a system for a video is RESULTS/subset01/video01/system_NAME.json, in the public result format. Its
+    `camera_calibration` may hold `lane_scales`, three factors on top of `scale`.
+
+    Args:
+        dataset: folder of the subsets.
+        results: folder of the result files.
+        videos: names, as `labelgen.datasets.luvizon.select_videos` returns them.
+        systems: names of the systems.
 
     Raises:
-        CalibrationError: a lane has no matched vehicle.
+        DataError: a file is missing or not of its format.
+        CalibrationError: a calibration is missing or describes no camera.
     """
-    if not scores:
-        raise CalibrationError("no scored video to fit the lanes' scales with")
-    ratios = np.concatenate([score.truth_kmh / score.speeds_kmh for score in scores])
-    lanes = np.concatenate([score.lanes for score in scores])
-    scales = np.empty(LANES)
-    for lane in range(1, LANES + 1):
-        here = ratios[(lanes == lane) & np.isfinite(ratios)]
-        if not len(here):
-            raise CalibrationError(f"lane {lane}: no matched vehicle to fit its scale with; score more videos")
-        scales[lane - 1] = np.median(here)
-    return scales
+    for name in videos:
+        video = read_luvizon_video(dataset / name)
+        for system in systems:
+            file = read_results(results / name / result_file_name(system))
+            score = score_luvizon(video, file.tracks, file.camera(), file.lane_scales())
+            yield ScoredVideo(name, system, file.path.name, score)
 
 
 def luvizon_row(scores: Sequence[LuvizonScore]) -> dict[str, Value]:
-    """Figures over all vehicles of one video or more; None where there is nothing to average.
+    """Return figures over all vehicles of one or more videos; None where there is nothing to average.
 
     Returns:
-        vehicles, matched, recall; within_matched and within_all, the shares of matched and of all vehicles whose
-        error lies in [-3, +2] km/h; the same with the public script's opposite sign as within_matched_public and
-        within_all_public; bias, mean, median, p95 and worst of the absolute error in km/h.
+        `vehicles`, `matched`, `recall`. `within_matched` and `within_all`: the shares of matched and of all vehicles
+        whose error lies in [-3, +2] km/h. `within_matched_public` and `within_all_public`: the same with the opposite
+        sign of the public script. `bias`: mean of the error in km/h. `mean`, `median`, `p95`, `worst`: of the absolute
+        error in km/h.
     """
     errors = np.concatenate([score.speeds_kmh - score.truth_kmh for score in scores])
-    whole = len(errors)
+    vehicles = len(errors)
     errors = errors[np.isfinite(errors)]
-    low, high = LIMITS_KMH
-    ours = int(np.count_nonzero((errors >= low) & (errors <= high)))
-    public = int(np.count_nonzero((-errors >= low) & (-errors <= high)))
-    size = np.abs(errors)
-    some = len(errors)
-    row: dict[str, Value] = {"vehicles": whole, "matched": some}
-    row["recall"] = some / whole if whole else None
-    for name, count in (("", ours), ("_public", public)):
-        row[f"within_matched{name}"] = count / some if some else None
-        row[f"within_all{name}"] = count / whole if whole else None
-    row["bias"] = float(errors.mean()) if some else None
-    row["mean"] = float(size.mean()) if some else None
+    low, high = _RULES.limits_kmh
+    within = int(np.count_nonzero((errors >= low) & (errors <= high)))
+    within_public = int(np.count_nonzero((-errors >= low) & (-errors <= high)))
+    absolute = np.abs(errors)
+    matched = len(errors)
+    row: dict[str, Value] = {"vehicles": vehicles, "matched": matched}
+    row["recall"] = matched / vehicles if vehicles else None
+    for name, count in (("", within), ("_public", within_public)):
+        row[f"within_matched{name}"] = count / matched if matched else None
+        row[f"within_all{name}"] = count / vehicles if vehicles else None
+    row["bias"] = float(errors.mean()) if matched else None
+    row["mean"] = float(absolute.mean()) if matched else None
     for name, percent in (("median", 50), ("p95", 95), ("worst", 100)):
-        row[name] = float(np.percentile(size, percent)) if some else None
+        row[name] = float(np.percentile(absolute, percent)) if matched else None
     return row

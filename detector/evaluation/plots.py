@@ -1,4 +1,4 @@
-"""Cumulative plots of speed errors."""
+"""Plots of the cumulative distribution of speed errors."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from labelgen.geometry.homography import Array
 
 __all__ = ["plot_cumulative_errors"]
 
-_LEGAL_KMH = 3.0
+_TOLERANCE_KMH = 3.0
 _STYLES = ("-", "--", "-.", ":")
 
 
 def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, unit: str = "km/h") -> None:
-    """Write the share of vehicles whose error is at most x, one curve per system.
+    """Plot the share of vehicles whose error is at most x, one curve per system, into a file.
 
     Args:
-        errors: by system, (n,) absolute errors in `unit`; a system without any is named in the legend only.
-        path: picture file, its folder being there; its ending (.png, .pdf, .svg) chooses the format.
+        errors: by system, (n,) absolute errors in `unit`; a system without errors stands in the legend only.
+        path: picture file in an existing folder; its ending (.png, .pdf, .svg) decides the format.
         unit: "km/h" or "%".
 
     Raises:
@@ -39,12 +39,14 @@ def plot_cumulative_errors(errors: Mapping[str, Array], path: str | Path, *, uni
     low = 0.1
     top = max(top, 10 * low)
     if unit == "km/h":
-        axes.axvline(_LEGAL_KMH, color="0.6", linewidth=1)
-        axes.annotate("3 km/h", (_LEGAL_KMH, 0.02), xytext=(4, 0), textcoords="offset points", color="0.4", fontsize=9)
+        axes.axvline(_TOLERANCE_KMH, color="0.6", linewidth=1)
+        axes.annotate(
+            "3 km/h", (_TOLERANCE_KMH, 0.02), xytext=(4, 0), textcoords="offset points", color="0.4", fontsize=9
+        )
     for number, (name, values) in enumerate(errors.items()):
         ordered = np.sort(values)
         share = np.arange(1, len(ordered) + 1) / max(len(ordered), 1)
-        # Steps start at the axis and run on to the right border, so that all curves can be compared there.
+        # All curves start at the axis and go on to the right border, so that they can be compared there.
         x = np.concatenate([[low / 10], ordered, [top]]) if len(ordered) else np.empty(0)
         y = np.concatenate([[0.0], share, [1.0]]) if len(ordered) else np.empty(0)
         mean = f"mean {values.mean():.2f} {unit}, " if len(values) else ""

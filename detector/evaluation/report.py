@@ -1,188 +1,204 @@
-"""The part of `labelgen evaluate` that scores BrnoCompSpeed."""
+"""Reports of the scores of several systems: data for JSON, tables, and plots. Nothing is printed here."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import typer
+import numpy as np
 
-if TYPE_CHECKING:
-    from detector.evaluation import LuvizonScore, TableFormat
+from detector.evaluation.luvizon import ScoredVideo, luvizon_row
+from detector.evaluation.plots import plot_cumulative_errors
+from detector.evaluation.results_folder import ScoredResult, result_file_name
+from detector.evaluation.summary import (
+    Value,
+    absolute_errors,
+    common_only,
+    pooled_row,
+    recording_row,
+    relative_errors,
+)
+from detector.evaluation.tables import CALIBRATION_COLUMNS, LUVIZON_COLUMNS, SPEED_COLUMNS, TableFormat, format_table
 
-if TYPE_CHECKING:
-    from detector.evaluation import RecordingScore, ScoredResult, TableFormat
+__all__ = ["LuvizonReport", "SpeedReport"]
 
-__all__ = ["evaluate_brnocompspeed", "evaluate_luvizon"]
+Row = dict[str, Value]
 
 
-def evaluate_brnocompspeed(
-    dataset: Path,
-    results: Path,
-    systems: Sequence[str],
-    choice: str,
-    calibration: str,
-    *,
-    common: bool,
-    plots: Path | None,
-    style: TableFormat,
-) -> dict[str, Any]:
-    """Score systems on recordings, print the tables, write the plots, return what `--json` holds.
+@dataclass(frozen=True, eq=False)
+class SpeedReport:
+    """Scores of systems on recordings of BrnoCompSpeed.
 
-    Raises:
-        DataError, CalibrationError, OutputError: a file is missing, not of its format, or cannot be written.
+    Args:
+        results: by system, the scores of all recordings.
+        recordings: names, in order.
+        common_recall: whether speed errors are those of only the vehicles that all systems matched.
     """
-    from tqdm import tqdm
 
-    from detector.evaluation import TableFormat, score_results, select_recordings, split_c_test
-    from labelgen.atomic_files import make_folder
+    results: dict[str, list[ScoredResult]]
+    recordings: tuple[str, ...]
+    common_recall: bool = False
 
-    recordings = select_recordings(dataset, choice)
-    missing = [name for name in split_c_test() if name not in recordings]
-    if choice.lower() == "split-c" and missing:
-        typer.echo(f"note: of split C's test recordings these are not in {dataset}: {', '.join(missing)}", err=True)
-    scored = score_results(dataset, results, recordings, systems, calibration)
-    parts = list(tqdm(scored, total=len(recordings) * len(systems), desc="scoring", unit="file", leave=False))
-    if common:
-        parts = _common(parts, recordings)
-    by_system = {name: [part for part in parts if part.system == name] for name in systems}
-    summary = _summary(by_system, recordings, common)
+    @classmethod
+    def create(
+        cls,
+        scored: Iterable[ScoredResult],
+        systems: Sequence[str],
+        recordings: Sequence[str],
+        *,
+        common_recall: bool = False,
+    ) -> SpeedReport:
+        """Collect scores, as `detector.evaluation.results_folder.score_results` yields them.
 
-    typer.echo(_tables(by_system, summary["pooled"], style))
-    if style is TableFormat.TEXT:
-        typer.echo(_losses(by_system))
-    if plots is not None:
-        _plot(by_system, make_folder(plots))
-        typer.echo(f"plots: {plots}", err=True)
-    return summary
+        Args:
+            scored: of all systems on all recordings.
+            systems: names, in order.
+            recordings: names, in order.
+            common_recall: whether to restrict speed errors to the vehicles that all systems matched.
+
+        Raises:
+            DataError, CalibrationError: what scoring raises.
+        """
+        results = list(scored)
+        if common_recall:
+            results = [result for name in recordings for result in _common([r for r in results if r.recording == name])]
+        by_system = {name: [result for result in results if result.system == name] for name in systems}
+        return cls(by_system, tuple(recordings), common_recall)
+
+    def rows(self) -> list[Row]:
+        """Return one row (`detector.evaluation.summary.recording_row`) per system and recording."""
+        return [_recording_row(result) for results in self.results.values() for result in results]
+
+    def pooled(self) -> dict[str, Row]:
+        """Return, by system, the row over all vehicles of all recordings."""
+        return {name: pooled_row([result.score for result in results]) for name, results in self.results.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all figures, and how many tracks were read and left out, for JSON."""
+        return {
+            "protocol": "BrnoCompSpeed, median mode",
+            "recordings": list(self.recordings),
+            "systems": list(self.results),
+            "common_recall": self.common_recall,
+            "rows": self.rows(),
+            "pooled": self.pooled(),
+            "tracks": [
+                {
+                    "recording": result.recording,
+                    "system": name,
+                    "read": result.score.tracks_read,
+                    "dropped": result.score.dropped,
+                }
+                for name, results in self.results.items()
+                for result in results
+            ],
+        }
+
+    def tables(self, style: TableFormat = TableFormat.TEXT) -> str:
+        """Return tables of speed and of calibration errors, pooled rows last. As CSV it is one table of all figures."""
+        rows: list[Row] = [
+            {"system": result.system, **_recording_row(result)}
+            for results in self.results.values()
+            for result in results
+        ]
+        for name, pooled in self.pooled().items():
+            first = self.results[name][0]
+            head: Row = {
+                "system": name,
+                "recording": "pooled",
+                "tracks": first.tracks,
+                "calibration": first.calibration,
+            }
+            rows.append(head | {key: pooled[key] for key in rows[0] if key not in head})
+        if style is TableFormat.CSV:
+            return format_table(rows, {}, style)
+        return "\n\n".join(format_table(rows, columns, style) for columns in (SPEED_COLUMNS, CALIBRATION_COLUMNS))
+
+    def dropped_tracks(self) -> str:
+        """Return one line per system: how many tracks the protocol left out, and why."""
+        lines = []
+        for name, results in self.results.items():
+            dropped: Counter[str] = Counter()
+            for result in results:
+                dropped.update(result.score.dropped)
+            reasons = "; ".join(f"{count} {reason}" for reason, count in dropped.most_common())
+            read = sum(result.score.tracks_read for result in results)
+            lines.append(f"{name}: {read} tracks read, {dropped.total()} left out{': ' if reasons else ''}{reasons}")
+        return "\n".join(lines)
+
+    def write_plots(self, folder: Path) -> None:
+        """Write cumulative_absolute.png and cumulative_relative.png into an existing folder.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        for errors, unit, name in ((absolute_errors, "km/h", "absolute"), (relative_errors, "%", "relative")):
+            values = {
+                system: np.concatenate([errors(result.score) for result in results])
+                for system, results in self.results.items()
+            }
+            plot_cumulative_errors(values, folder / f"cumulative_{name}.png", unit=unit)
 
 
-def _common(parts: Sequence[ScoredResult], recordings: Sequence[str]) -> list[ScoredResult]:
-    from dataclasses import replace
-
-    from detector.evaluation import common_only
-
-    out = []
-    for recording in recordings:
-        here = [part for part in parts if part.recording == recording]
-        scores = common_only({part.system: part.score for part in here})
-        out += [replace(part, score=scores[part.system]) for part in here]
-    return out
+def _common(results: Sequence[ScoredResult]) -> list[ScoredResult]:
+    """Restrict the scores of one recording to the vehicles that all systems matched."""
+    scores = common_only({result.system: result.score for result in results})
+    return [replace(result, score=scores[result.system]) for result in results]
 
 
-def _summary(
-    by_system: Mapping[str, Sequence[ScoredResult]], recordings: Sequence[str], common: bool
-) -> dict[str, Any]:
-    """What `--json` holds."""
-    from detector.evaluation import pooled_row
-
-    return {
-        "protocol": "BrnoCompSpeed, median mode",
-        "recordings": list(recordings),
-        "systems": list(by_system),
-        "common_recall": common,
-        "rows": [_row(part) for parts in by_system.values() for part in parts],
-        "pooled": {name: pooled_row([part.score for part in parts]) for name, parts in by_system.items()},
-        "tracks": [
-            {"recording": part.recording, "system": name, "read": part.score.tracks_read, "dropped": part.score.dropped}
-            for name, parts in by_system.items()
-            for part in parts
-        ],
-    }
+def _recording_row(result: ScoredResult) -> Row:
+    return recording_row(result.recording, result.tracks, result.calibration, result.score)
 
 
-def _row(part: ScoredResult) -> dict[str, Any]:
-    from detector.evaluation import recording_row
+@dataclass(frozen=True, eq=False)
+class LuvizonReport:
+    """Scores of systems on videos of the Luvizon data set.
 
-    return recording_row(part.recording, part.tracks, part.calibration, part.score)
-
-
-def _tables(
-    by_system: Mapping[str, Sequence[ScoredResult]], pooled: Mapping[str, Mapping[str, Any]], style: TableFormat
-) -> str:
-    """One line per recording and system, then the pooled ones."""
-    from detector.evaluation import CALIBRATION_COLUMNS, SPEED_COLUMNS, TableFormat, format_table
-
-    rows = [{"system": part.system, **_row(part)} for parts in by_system.values() for part in parts]
-    for name, parts in by_system.items():
-        last = {"system": name, "recording": "pooled", "tracks": parts[0].tracks, "calibration": parts[0].calibration}
-        rows.append(last | {key: pooled[name][key] for key in rows[0] if key not in last})
-    if style is TableFormat.CSV:
-        return format_table(rows, {}, style)
-    return "\n\n".join(format_table(rows, columns, style) for columns in (SPEED_COLUMNS, CALIBRATION_COLUMNS))
-
-
-def _losses(by_system: Mapping[str, Sequence[ScoredResult]]) -> str:
-    """How many tracks the protocol left out, and why."""
-    lines = [""]
-    for name, parts in by_system.items():
-        scores: list[RecordingScore] = [part.score for part in parts]
-        reasons: dict[str, int] = {}
-        for score in scores:
-            for reason, count in score.dropped.items():
-                reasons[reason] = reasons.get(reason, 0) + count
-        why = "; ".join(f"{count} {reason}" for reason, count in sorted(reasons.items(), key=lambda item: -item[1]))
-        read = sum(score.tracks_read for score in scores)
-        lines.append(f"{name}: {read} tracks read, {sum(reasons.values())} left out{': ' if why else ''}{why}")
-    return "\n".join(lines)
-
-
-def _plot(by_system: Mapping[str, Sequence[ScoredResult]], folder: Path) -> None:
-    import numpy as np
-
-    from detector.evaluation import absolute_errors, relative_errors
-    from detector.evaluation.plots import plot_cumulative_errors
-
-    for errors, unit, name in ((absolute_errors, "km/h", "absolute"), (relative_errors, "%", "relative")):
-        values = {system: np.concatenate([errors(part.score) for part in parts]) for system, parts in by_system.items()}
-        plot_cumulative_errors(values, folder / f"cumulative_{name}.png", unit=unit)
-
-
-def evaluate_luvizon(
-    dataset: Path, results: Path, systems: Sequence[str], choice: str, style: TableFormat
-) -> dict[str, Any]:
-    """Score systems on videos, print the table, return what `--json` holds.
-
-    A system's file for a video is RESULTS/subset01/video01/system_NAME.json, in the public result format; its
-    `camera_calibration` may hold `lane_scales`, three factors on top of `scale`.
-
-    Raises:
-        DataError, CalibrationError: a file is missing or not of its format.
+    Args:
+        results: as `detector.evaluation.luvizon.score_luvizon_results` yields them.
+        systems: names, in order.
+        videos: names, in order.
     """
-    from tqdm import tqdm
 
-    from detector.evaluation import (
-        LUVIZON_COLUMNS,
-        format_table,
-        luvizon_row,
-        read_luvizon_video,
-        read_results,
-        score_luvizon,
-        select_videos,
-    )
-    from detector.evaluation.results_folder import result_file_name
+    results: tuple[ScoredVideo, ...]
+    systems: tuple[str, ...]
+    videos: tuple[str, ...]
 
-    scores: dict[str, list[LuvizonScore]] = {system: [] for system in systems}
-    rows: list[dict[str, Any]] = []
-    names = select_videos(dataset, choice)
-    for name in tqdm(names, desc="scoring", unit="video", leave=False):
-        video = read_luvizon_video(dataset / name)
-        for system in systems:
-            file = read_results(results / name / result_file_name(system))
-            score = score_luvizon(video, file.tracks, file.camera(), file.lane_scales())
-            scores[system].append(score)
-            rows.append({"system": system, "recording": name, "tracks": file.path.name, **luvizon_row([score])})
-    pooled = {system: luvizon_row(parts) for system, parts in scores.items()}
-    last: list[dict[str, Any]] = [
-        {"system": system, "recording": "pooled", "tracks": result_file_name(system), **row}
-        for system, row in pooled.items()
-    ]
-    typer.echo(format_table(rows + last, LUVIZON_COLUMNS, style))
-    return {
-        "protocol": "Luvizon, error measured - true in [-3, +2] km/h",
-        "recordings": names,
-        "systems": list(systems),
-        "rows": rows,
-        "pooled": pooled,
-    }
+    def rows(self) -> list[Row]:
+        """Return one row (`detector.evaluation.luvizon.luvizon_row`) per video and system."""
+        return [
+            {
+                "system": result.system,
+                "recording": result.video,
+                "tracks": result.tracks,
+                **luvizon_row([result.score]),
+            }
+            for result in self.results
+        ]
+
+    def pooled(self) -> dict[str, Row]:
+        """Return, by system, the row over all vehicles of all videos."""
+        return {
+            name: luvizon_row([result.score for result in self.results if result.system == name])
+            for name in self.systems
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all figures, for JSON."""
+        return {
+            "protocol": "Luvizon, error measured - true in [-3, +2] km/h",
+            "recordings": list(self.videos),
+            "systems": list(self.systems),
+            "rows": self.rows(),
+            "pooled": self.pooled(),
+        }
+
+    def table(self, style: TableFormat = TableFormat.TEXT) -> str:
+        """Return one table, pooled rows last."""
+        rows = self.rows()
+        for name, pooled in self.pooled().items():
+            rows.append({"system": name, "recording": "pooled", "tracks": result_file_name(name), **pooled})
+        return format_table(rows, LUVIZON_COLUMNS, style)

@@ -1,4 +1,4 @@
-"""Which recordings and result files a BrnoCompSpeed folder holds, and scoring them.
+"""Recordings and result files in the folders of BrnoCompSpeed, and their scores.
 
 Layout: DATASET/sessionN_{left,center,right}/gt_data.pkl and RESULTS/sessionN_.../system_NAME.json.
 """
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from detector.evaluation.brnocompspeed import RecordingScore, score_recording
-from detector.tracking.tracks import ResultFile, read_results
-from labelgen.datasets.brnocompspeed import GroundTruth, read_ground_truth
+from detector.tracking.tracks import read_results
+from labelgen.datasets.brnocompspeed import read_ground_truth
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
@@ -27,13 +27,22 @@ __all__ = [
 ]
 
 OWN_CALIBRATION = "own"
+"""Calibration of the result file itself, in place of the name of a system."""
+
 _SIDES = ("left", "center", "right")
 _GROUND_TRUTH = "gt_data.pkl"
 
 
 @dataclass(frozen=True, eq=False)
 class ScoredResult:
-    """The score of one result file: recording and system by name, files as in the results folder."""
+    """Score of one result file.
+
+    Args:
+        recording, system: names.
+        tracks: name of the result file.
+        calibration: name of the file whose calibration was used; `OWN_CALIBRATION` for that of the result file.
+        score: of its tracks.
+    """
 
     recording: str
     system: str
@@ -43,20 +52,22 @@ class ScoredResult:
 
 
 def result_file_name(system: str) -> str:
-    """system_NAME.json from NAME; the file's own name is taken too."""
+    """Return system_NAME.json for NAME, or for the name of the file itself."""
     name = system.removesuffix(".json").removeprefix("system_")
     return f"system_{name}.json"
 
 
 def _recordings(dataset: Path) -> list[str]:
-    """Names of all recordings in natural order: by session, then left, center, right."""
+    """Return the names of all recordings in natural order: by session, then left, center, right."""
     if not dataset.is_dir():
-        raise DataError(f"data set {dataset}: no such folder; --dataset names the one with sessionN_left and so on")
+        raise DataError(
+            f"data set {dataset}: no such folder; give the one with sessionN_left and so on", parameter="dataset"
+        )
     names = sorted(path.parent.name for path in dataset.glob(f"*/{_GROUND_TRUTH}"))
     if not names:
         inner = dataset / "dataset"
-        hint = f"; did you mean --dataset {inner}?" if any(inner.glob(f"*/{_GROUND_TRUTH}")) else ""
-        raise DataError(f"data set {dataset}: no folder with a {_GROUND_TRUTH} in it{hint}")
+        hint = f"; did you mean {inner}?" if any(inner.glob(f"*/{_GROUND_TRUTH}")) else ""
+        raise DataError(f"data set {dataset}: no folder with a {_GROUND_TRUTH} in it{hint}", parameter="dataset")
     return sorted(names, key=_natural)
 
 
@@ -65,53 +76,58 @@ def _natural(name: str) -> tuple[int, int, str]:
     return (int(match[1]), _SIDES.index(match[2]), name) if match else (10**6, 0, name)
 
 
-def select_recordings(dataset: str | Path, choice: str) -> list[str]:
-    """The recordings to score.
+def select_recordings(dataset: str | Path, recordings: str) -> list[str]:
+    """Return the names of the recordings to score.
 
     Args:
         dataset: folder with one folder per recording.
-        choice: "all", "split-C" (of its test recordings those that are there), or names with commas between.
+        recordings: "all", "split-C" (those test recordings of the split that are there), or names with commas between.
 
     Raises:
         DataError: no such folder, unknown recording, or nothing left to score.
     """
     dataset = Path(dataset)
     present = _recordings(dataset)
-    if choice == "all":
+    if recordings == "all":
         return present
-    if choice.lower() == "split-c":
+    if recordings.lower() == "split-c":
         test = split_c_test()
-        chosen = [name for name in present if name in test]
-        if not chosen:
-            raise DataError(f"data set {dataset}: none of split C's test recordings in it; try --recordings all")
-        return chosen
-    chosen = [name.strip() for name in choice.split(",") if name.strip()]
-    unknown = [name for name in chosen if name not in present]
-    if unknown or not chosen:
+        selected = [name for name in present if name in test]
+        if not selected:
+            raise DataError(
+                f"data set {dataset}: none of split C's test recordings in it; try all", parameter="recordings"
+            )
+        return selected
+    selected = [name.strip() for name in recordings.split(",") if name.strip()]
+    unknown = [name for name in selected if name not in present]
+    if unknown or not selected:
         raise DataError(
-            f"data set {dataset}: no recording {', '.join(unknown) or repr(choice)} with a {_GROUND_TRUTH}; "
-            f"there are {', '.join(present)}"
+            f"data set {dataset}: no recording {', '.join(unknown) or repr(recordings)} with a {_GROUND_TRUTH}; "
+            f"there are {', '.join(present)}",
+            parameter="recordings",
         )
-    return list(dict.fromkeys(chosen))
+    return list(dict.fromkeys(selected))
 
 
 def split_c_test() -> list[str]:
-    """Names of the published split's nine test recordings."""
+    """Return the names of the nine test recordings of the published split C."""
     sessions = load_manifest("brnocompspeed")["splits"]["C"]["test"]
     return [f"{session}_{side}" for session in sessions for side in _SIDES]
 
 
 def _check_files(results: Path, recordings: Sequence[str], names: Sequence[str]) -> None:
-    """All result files are looked for before the first one is scored."""
+    """Look for all result files before the first one is scored."""
     if not results.is_dir():
-        raise DataError(f"results {results}: no such folder; --results names the one with sessionN_left and so on")
+        raise DataError(
+            f"results {results}: no such folder; give the one with sessionN_left and so on", parameter="results"
+        )
     missing = [results / recording / name for recording in recordings for name in names]
     missing = [path for path in missing if not path.is_file()]
     if missing:
         whole = [r for r in recordings if all((results / r / name).is_file() for name in names)]
-        mend = f"all are there for --recordings {','.join(whole)}" if whole else "check --results and --system"
+        advice = f"all are there for the recordings {','.join(whole)}" if whole else "check the names of the systems"
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise DataError(f"results {missing[0]}: no such file{more}; {mend}")
+        raise DataError(f"results {missing[0]}: no such file{more}; {advice}", parameter="results")
 
 
 def score_results(
@@ -126,9 +142,10 @@ def score_results(
     Args:
         dataset: folder of the recordings.
         results: folder of the result files.
-        recordings: names, as `select_recordings` gives them.
+        recordings: names, as `select_recordings` returns them.
         systems: names of the systems.
-        calibration: whose calibration to measure with; "own" takes that of each track file.
+        calibration: name of the system whose calibration measures all tracks; "own" measures the tracks of each file
+            with the calibration in it.
 
     Raises:
         DataError: a file is missing or not of its format.
@@ -144,8 +161,6 @@ def score_results(
         camera = None if own else Camera.load(results / recording / other)
         for system, name in zip(systems, names, strict=True):
             result = read_results(results / recording / name)
-            yield ScoredResult(recording, system, name, other, _score(truth, result, camera))
-
-
-def _score(truth: GroundTruth, result: ResultFile, camera: Camera | None) -> RecordingScore:
-    return score_recording(truth, result.tracks, camera or result.camera())
+            yield ScoredResult(
+                recording, system, name, other, score_recording(truth, result.tracks, camera or result.camera())
+            )

@@ -1,6 +1,6 @@
-"""Scores of recordings as rows, pooled over vehicles, and restricted to vehicles that all systems found.
+"""Scores of recordings as rows of figures: per recording, pooled, and restricted to common vehicles.
 
-Published figures are pooled over all test vehicles, not averaged over recordings; so is `pooled_row`.
+Published figures are pooled over all test vehicles, not averaged over recordings. `pooled_row` follows them.
 """
 
 from __future__ import annotations
@@ -18,22 +18,26 @@ from labelgen.geometry.homography import Array
 __all__ = ["Value", "absolute_errors", "common_only", "pooled_row", "recording_row", "relative_errors"]
 
 Value = str | int | float | None
+"""One figure of a row; None where it is not known."""
 
 
 def absolute_errors(score: RecordingScore) -> Array:
-    """(n,) |measured - true| in km/h of the cars that count."""
+    """Return (n,) |measured - true| in km/h, of the cars whose speed error counts."""
     return np.abs(score.speeds_kmh - score.truth_kmh)[score.counted]
 
 
 def relative_errors(score: RecordingScore) -> Array:
-    """(n,) the same in percent of the true speed."""
+    """Return (n,) |measured - true| in percent of the true speed, of the cars whose speed error counts."""
     return absolute_errors(score) / score.truth_kmh[score.counted] * 100
 
 
 def common_only(scores: Mapping[str, RecordingScore]) -> dict[str, RecordingScore]:
-    """One recording's scores of several systems, with the speed errors of only the cars that all of them found.
+    """Restrict the speed errors of several systems on one recording to the cars that all systems matched.
 
-    Recall, precision and the calibration's errors stay each system's own.
+    Recall, precision and the errors of the calibration are not changed.
+
+    Args:
+        scores: by system, of the same recording.
 
     Raises:
         DataError: the scores belong to different ground truths.
@@ -41,12 +45,12 @@ def common_only(scores: Mapping[str, RecordingScore]) -> dict[str, RecordingScor
     parts = list(scores.values())
     if len({len(part.matched) for part in parts}) > 1:
         raise DataError("scores of different recordings cannot be restricted to common vehicles")
-    found = np.logical_and.reduce([part.matched for part in parts])
-    return {name: replace(part, counted=part.counted & found) for name, part in scores.items()}
+    common = np.logical_and.reduce([part.matched for part in parts])
+    return {name: replace(part, counted=part.counted & common) for name, part in scores.items()}
 
 
 def _figures(scores: Sequence[RecordingScore]) -> dict[str, Value]:
-    """What rows and pooled results have in common; None where there is nothing to average."""
+    """Return the figures that recording rows and pooled rows share; None where there is nothing to average."""
     absolute = np.concatenate([absolute_errors(score) for score in scores])
     relative = np.concatenate([relative_errors(score) for score in scores])
     matched = sum(int(np.count_nonzero(score.matched)) for score in scores)
@@ -82,22 +86,29 @@ def _figures(scores: Sequence[RecordingScore]) -> dict[str, Value]:
 
 
 def recording_row(recording: str, tracks: str, calibration: str, score: RecordingScore) -> dict[str, Value]:
-    """One recording's figures.
+    """Return the figures of one recording.
+
+    Args:
+        recording: its name.
+        tracks: name of the result file.
+        calibration: "own", or name of the file whose calibration was used.
+        score: of the recording.
 
     Returns:
-        recording, tracks (file), calibration ("own" or file); n, the cars whose speed counts; their errors mean,
-        median, p95, worst in km/h and mean_relative, median_relative, p95_relative in percent; recall, matched valid
-        of valid cars; precision, matched / (matched + false_positives), which the public script does not have;
-        false_positives, matched, intersection_failures; calibration_ratio_error_relative_mean in percent,
-        calibration_ratio_error_absolute_mean, distance_error_m_mean, distance_error_relative_mean in percent.
+        `recording`, `tracks`, `calibration`. `n`: number of cars whose speed error counts. Their errors: `mean`,
+        `median`, `p95`, `worst` in km/h; `mean_relative`, `median_relative`, `p95_relative` in percent. `recall`:
+        matched valid cars of all valid cars. `precision`: matched / (matched + false_positives), which the public
+        script does not have. `false_positives`, `matched`, `intersection_failures`. Errors of the calibration:
+        `calibration_ratio_error_relative_mean` in percent, `calibration_ratio_error_absolute_mean`,
+        `distance_error_m_mean`, `distance_error_relative_mean` in percent.
     """
     return {"recording": recording, "tracks": tracks, "calibration": calibration} | _figures([score])
 
 
 def pooled_row(scores: Sequence[RecordingScore]) -> dict[str, Value]:
-    """The same figures over all vehicles and segments of several recordings.
+    """Return the figures of `recording_row` over all vehicles and surveyed segments of several recordings.
 
-    `recall_recording_mean` beside them is the public script's: the mean of the recordings' recalls.
+    `recall_recording_mean`, the mean of the recalls of the recordings, is what the public script prints.
     """
     recalls = np.array([_recall([score]) for score in scores])
     known = recalls[np.isfinite(recalls)]
@@ -113,8 +124,8 @@ def _percentile(values: Array, percent: float) -> float:
 
 
 def _recall(scores: Sequence[RecordingScore]) -> float:
-    found = sum(int(np.count_nonzero(score.matched & score.valid)) for score in scores)
-    return _ratio(found, sum(int(np.count_nonzero(score.valid)) for score in scores))
+    matched = sum(int(np.count_nonzero(score.matched & score.valid)) for score in scores)
+    return _ratio(matched, sum(int(np.count_nonzero(score.valid)) for score in scores))
 
 
 def _ratio(part: int, whole: int) -> float:
@@ -122,5 +133,5 @@ def _ratio(part: int, whole: int) -> float:
 
 
 def _known(value: float) -> float | None:
-    """JSON has no NaN and no infinity; what cannot be said is null."""
+    """Return None for NaN and infinity, which JSON does not have."""
     return value if math.isfinite(value) else None

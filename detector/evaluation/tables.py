@@ -1,4 +1,4 @@
-"""Tables of scores as aligned text, Markdown and CSV."""
+"""Tables of scores as aligned text, Markdown and CSV. Imports nothing heavy: the command line reads `TableFormat`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
-from detector.evaluation.summary import Value
-from labelgen.errors import DataError
+if TYPE_CHECKING:
+    from detector.evaluation.summary import Value
 
 __all__ = ["CALIBRATION_COLUMNS", "LUVIZON_COLUMNS", "SPEED_COLUMNS", "Columns", "TableFormat", "format_table"]
 
@@ -17,19 +18,11 @@ Columns = Mapping[str, tuple[str, str]]
 
 
 class TableFormat(StrEnum):
-    """How to print a table."""
+    """Form of a printed table."""
 
     TEXT = "text"
     MARKDOWN = "markdown"
     CSV = "csv"
-
-    @classmethod
-    def parse(cls, text: str) -> TableFormat:
-        """A format by its name; DataError where there is none of that name."""
-        try:
-            return cls(text)
-        except ValueError:
-            raise DataError(f"table format {text!r}: expected {', '.join(cls)}") from None
 
 
 _WHERE = {"system": ("system", ""), "recording": ("recording", "")}
@@ -72,9 +65,15 @@ CALIBRATION_COLUMNS: Columns = _WHERE | {
 
 
 def format_table(rows: Sequence[Mapping[str, Value]], columns: Columns, style: TableFormat = TableFormat.TEXT) -> str:
-    """Rows as one table, without a newline at the end; figures that are not known are dashes (CSV: empty).
+    """Return rows as one table, without a newline at the end.
 
-    Text and Markdown show the given columns as far as the first row has them, CSV all keys and digits.
+    Args:
+        rows: all with the same keys. A figure that is None becomes a dash, in CSV an empty cell.
+        columns: what text and Markdown show, of the keys that the rows have. CSV holds all keys and all digits.
+        style: form of the table.
+
+    Returns:
+        the table; empty without rows.
     """
     if not rows:
         return ""

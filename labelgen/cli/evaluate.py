@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from detector.evaluation.tables import TableFormat
 from labelgen.errors import DataError
+
+if TYPE_CHECKING:
+    from detector.evaluation.report import LuvizonReport, SpeedReport
 
 __all__ = ["evaluate"]
 
@@ -30,8 +34,8 @@ def evaluate(
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write cumulative error plots here.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all figures here.")] = None,
     table: Annotated[
-        str, typer.Option("--format", metavar="text|markdown|csv", help="How to print the tables.")
-    ] = "text",
+        TableFormat, typer.Option("--format", metavar="text|markdown|csv", help="How to print the tables.")
+    ] = TableFormat.TEXT,
 ) -> None:
     """Score tracks against ground truth, by the data set's public protocol.
 
@@ -42,29 +46,59 @@ def evaluate(
     A folder of the Luvizon data set is known by its layout and scored by its own protocol; there --recordings takes
     test (the default), training, all, or names such as subset01/video01.
     """
-    from detector.evaluation import TableFormat, is_luvizon
-    from labelgen.atomic_files import write_json
+    from labelgen.atomic_files import make_folder, write_json
+    from labelgen.datasets.luvizon import is_luvizon
 
-    style = TableFormat.parse(table)
     systems = _names([*system, *(more_systems or [])])
+    report: LuvizonReport | SpeedReport
     if is_luvizon(dataset):
-        from detector.evaluation.report import evaluate_luvizon
-
         if calibration != "own" or common_recall or plots is not None:
             raise DataError(f"{dataset} is of the Luvizon layout: no --calibration, --common-recall or --plots there")
-        choice = "test" if recordings.lower() == "split-c" else recordings
-        summary = evaluate_luvizon(dataset, results, systems, choice, style)
+        report = _luvizon(dataset, results, systems, "test" if recordings.lower() == "split-c" else recordings)
+        typer.echo(report.table(table))
     else:
-        from detector.evaluation.report import evaluate_brnocompspeed
-
-        summary = evaluate_brnocompspeed(
-            dataset, results, systems, recordings, calibration, common=common_recall, plots=plots, style=style
-        )
+        report = _brnocompspeed(dataset, results, systems, recordings, calibration, common_recall)
+        typer.echo(report.tables(table))
+        if table is TableFormat.TEXT:
+            typer.echo(f"\n{report.dropped_tracks()}")
+        if plots is not None:
+            report.write_plots(make_folder(plots))
+            typer.echo(f"plots: {plots}", err=True)
     if json_file is not None:
-        write_json(json_file, summary)
+        write_json(json_file, report.to_dict())
+
+
+def _brnocompspeed(
+    dataset: Path, results: Path, systems: Sequence[str], recordings: str, calibration: str, common_recall: bool
+) -> SpeedReport:
+    from tqdm import tqdm
+
+    from detector.evaluation.report import SpeedReport
+    from detector.evaluation.results_folder import score_results, select_recordings, split_c_test
+
+    names = select_recordings(dataset, recordings)
+    missing = [name for name in split_c_test() if name not in names]
+    if recordings.lower() == "split-c" and missing:
+        typer.echo(f"note: of split C's test recordings these are not in {dataset}: {', '.join(missing)}", err=True)
+    scored = score_results(dataset, results, names, systems, calibration)
+    progress = tqdm(scored, total=len(names) * len(systems), desc="scoring", unit="file", leave=False)
+    return SpeedReport.create(progress, systems, names, common_recall=common_recall)
+
+
+def _luvizon(dataset: Path, results: Path, systems: Sequence[str], recordings: str) -> LuvizonReport:
+    from tqdm import tqdm
+
+    from detector.evaluation.luvizon import score_luvizon_results
+    from detector.evaluation.report import LuvizonReport
+    from labelgen.datasets.luvizon import select_videos
+
+    videos = select_videos(dataset, recordings)
+    scored = score_luvizon_results(dataset, results, videos, systems)
+    progress = tqdm(scored, total=len(videos) * len(systems), desc="scoring", unit="file", leave=False)
+    return LuvizonReport(tuple(progress), tuple(systems), tuple(videos))
 
 
 def _names(values: Sequence[str]) -> list[str]:
-    """Systems by name, however many an option holds, each once."""
+    """Return the names of systems, each once, from values that may hold several with commas between."""
     names = [name.strip() for value in values for name in value.split(",")]
     return list(dict.fromkeys(name.removesuffix(".json").removeprefix("system_") for name in names if name))

@@ -21,7 +21,7 @@ LANE_BORDERS_M = (3.5, 0.0, -3.5, -7.0)
 
 
 @dataclass
-class Scene:
+class Traffic:
     """A camera above three lanes; cars drive towards it at constant speed."""
 
     camera: Camera
@@ -103,5 +103,5 @@ class Scene:
         (root / "results" / recording / f"system_{system}.json").write_text(json.dumps(self.results()))
 
 
-def make_scene() -> Scene:
-    return Scene(Camera(np.array([900.0, -350.0]), np.array([40000.0, 560.0]), np.array([960.5, 540.5]), 0.024))
+def make_scene() -> Traffic:
+    return Traffic(Camera(np.array([900.0, -350.0]), np.array([40000.0, 560.0]), np.array([960.5, 540.5]), 0.024))

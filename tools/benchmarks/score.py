@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from detector.evaluation import absolute_errors, score_recording, select_recordings
-from detector.evaluation.results_folder import result_file_name
+from detector.evaluation.brnocompspeed import score_recording
+from detector.evaluation.results_folder import result_file_name, select_recordings
+from detector.evaluation.summary import absolute_errors
 from detector.tracking.tracks import Tracks
 from labelgen.atomic_files import write_json
 from labelgen.datasets.brnocompspeed import parse_ground_truth

@@ -23,14 +23,15 @@ import typer
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from detector.evaluation import GroundTruth, Tracks, score_recording
+from detector.evaluation.brnocompspeed import score_recording
 from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskPlacer
 from detector.speed.measurement import MeasurementView, Variant
 from detector.speed.meter import SpeedMeter
+from detector.tracking.tracks import Tracks
 from labelgen.atomic_files import make_folder, write_json
-from labelgen.datasets.brnocompspeed import parse_ground_truth
+from labelgen.datasets.brnocompspeed import GroundTruth, parse_ground_truth
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask, Rule, parse_size

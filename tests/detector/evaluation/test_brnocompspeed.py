@@ -10,25 +10,25 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from score_scenes import Scene, make_scene
+from score_scenes import Traffic, make_scene
 
-from detector.evaluation import absolute_errors, recording_row, score_recording
-from detector.evaluation.brnocompspeed import RecordingScore
+from detector.evaluation.brnocompspeed import RecordingScore, score_recording
+from detector.evaluation.summary import absolute_errors, recording_row
 from labelgen.datasets.brnocompspeed import parse_ground_truth
 from labelgen.errors import CalibrationError, DataError
 from labelgen.geometry import Camera
 from tools.benchmarks.score_reference import score_car_by_car
 
 
-def score(scene: Scene) -> RecordingScore:
+def score(scene: Traffic) -> RecordingScore:
     return score_recording(scene.truth(), scene.tracks(), scene.camera)
 
 
-def row(scene: Scene) -> dict[str, Any]:
+def row(scene: Traffic) -> dict[str, Any]:
     return recording_row("made-up", "system_x.json", "own", score(scene))
 
 
-def test_perfect_tracks_score_perfectly(traffic: Scene) -> None:
+def test_perfect_tracks_score_perfectly(traffic: Traffic) -> None:
     got = row(traffic)
     assert (got["n"], got["matched"], got["false_positives"], got["intersection_failures"]) == (4, 4, 0, 0)
     assert (got["recall"], got["precision"]) == (1.0, 1.0)
@@ -37,7 +37,7 @@ def test_perfect_tracks_score_perfectly(traffic: Scene) -> None:
     assert got["calibration_ratio_error_absolute_mean"] == pytest.approx(0, abs=1e-9)
 
 
-def test_figures_by_hand(traffic: Scene) -> None:
+def test_figures_by_hand(traffic: Traffic) -> None:
     # True speeds 72, 90, 108, 81 km/h; said to be 70, 91, 108, 85: errors 2, 1, 0, 4.
     for car, kmh in zip(traffic.truth_cars, (70.0, 91.0, 108.0, 85.0), strict=True):
         car["speed"] = kmh
@@ -52,7 +52,7 @@ def test_figures_by_hand(traffic: Scene) -> None:
     assert got["median_relative"] == pytest.approx(np.median(relative))
 
 
-def test_calibration_and_distance_errors_by_hand(traffic: Scene) -> None:
+def test_calibration_and_distance_errors_by_hand(traffic: Traffic) -> None:
     # A scale 10 % too large makes 11 m of 10 and 7.7 m of 7; the ratios are not touched.
     camera = Camera(traffic.camera.vp1, traffic.camera.vp2, traffic.camera.pp, traffic.camera.scale * 1.1)
     got = recording_row("r", "t", "own", score_recording(traffic.truth(), traffic.tracks(), camera))
@@ -68,7 +68,7 @@ def test_calibration_and_distance_errors_by_hand(traffic: Scene) -> None:
     assert got["calibration_ratio_error_relative_mean"] == pytest.approx(200 / 7)
 
 
-def test_missed_and_spare_tracks(traffic: Scene) -> None:
+def test_missed_and_spare_tracks(traffic: Traffic) -> None:
     traffic.add_truth(11.8, 20.0, 2)  # nobody saw this one
     traffic.add_track(12.0, 20.0, 1)  # and this one was not there
     got = row(traffic)
@@ -76,14 +76,14 @@ def test_missed_and_spare_tracks(traffic: Scene) -> None:
     assert (got["recall"], got["precision"]) == (4 / 5, 4 / 5)
 
 
-def test_invalid_cars_are_matched_but_do_not_count(traffic: Scene) -> None:
+def test_invalid_cars_are_matched_but_do_not_count(traffic: Traffic) -> None:
     traffic.truth_cars[1]["valid"] = False
     got = row(traffic)
     assert (got["n"], got["matched"], got["recall"], got["false_positives"]) == (3, 4, 1.0, 0)
 
 
 @pytest.mark.parametrize(("shift_s", "matched"), [(0.19, True), (-0.19, True), (0.21, False), (-0.21, False)])
-def test_match_window_is_a_fifth_of_a_second(scene: Scene, shift_s: float, matched: bool) -> None:
+def test_match_window_is_a_fifth_of_a_second(scene: Traffic, shift_s: float, matched: bool) -> None:
     scene.add_truth(5.0, 20.0, 0)
     scene.add_truth(10.0, 20.0, 0)
     scene.add_truth(15.0, 20.0, 0)
@@ -91,7 +91,7 @@ def test_match_window_is_a_fifth_of_a_second(scene: Scene, shift_s: float, match
     assert score(scene).matched.tolist() == [False, matched, False]
 
 
-def test_the_lane_must_agree_and_a_car_may_have_several(scene: Scene) -> None:
+def test_the_lane_must_agree_and_a_car_may_have_several(scene: Traffic) -> None:
     scene.add_truth(10.0, 20.0, 0)
     scene.add_truth(11.0, 20.0, {0, 1})
     scene.add_truth(12.0, 20.0, {0, 7})
@@ -100,7 +100,7 @@ def test_the_lane_must_agree_and_a_car_may_have_several(scene: Scene) -> None:
     assert score(scene).matched.tolist() == [False, True, False]
 
 
-def test_the_nearest_in_time_wins_whatever_its_lane(scene: Scene) -> None:
+def test_the_nearest_in_time_wins_whatever_its_lane(scene: Traffic) -> None:
     scene.add_truth(10.0, 20.0, {0, 1, 2})
     scene.add_truth(13.0, 20.0, 0)
     for last_s, speed, lane in ((10.1, 21.0, 0), (9.95, 22.0, 2), (10.15, 23.0, 1)):
@@ -108,7 +108,7 @@ def test_the_nearest_in_time_wins_whatever_its_lane(scene: Scene) -> None:
     assert score(scene).speeds_kmh[0] == pytest.approx(22.0 * 3.6)
 
 
-def test_of_two_equally_near_tracks_the_first_in_the_file_wins(scene: Scene) -> None:
+def test_of_two_equally_near_tracks_the_first_in_the_file_wins(scene: Traffic) -> None:
     scene.add_truth(10.0, 20.0, {0, 1})
     scene.add_truth(13.0, 20.0, 0)
     scene.cars += [scene.track(10.0, 20.0, 1, "straight"), scene.track(10.0, 20.0, 1, "wavering")]
@@ -120,7 +120,7 @@ def test_of_two_equally_near_tracks_the_first_in_the_file_wins(scene: Scene) -> 
     assert score(scene).speeds_kmh[0] > 72.1
 
 
-def test_one_track_may_serve_two_cars(scene: Scene) -> None:
+def test_one_track_may_serve_two_cars(scene: Traffic) -> None:
     scene.add_truth(10.0, 20.0, 0)
     scene.add_truth(10.15, 25.0, 0)
     scene.add_truth(13.0, 25.0, 0)
@@ -131,14 +131,14 @@ def test_one_track_may_serve_two_cars(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(("last_s", "counted"), [(9.9, 0), (10.1, 1), (14.9, 1), (15.1, 0)])
-def test_false_positives_only_within_the_ground_truths_time(scene: Scene, last_s: float, counted: int) -> None:
+def test_false_positives_only_within_the_ground_truths_time(scene: Traffic, last_s: float, counted: int) -> None:
     scene.add_truth(10.0, 20.0, 0)
     scene.add_truth(15.0, 20.0, 0)
     scene.add_track(last_s, 20.0, 1)
     assert score(scene).false_positives == counted
 
 
-def test_tracks_of_one_name_are_one_vehicle(traffic: Scene) -> None:
+def test_tracks_of_one_name_are_one_vehicle(traffic: Traffic) -> None:
     traffic.add_track(12.0, 20.0, 1, name=2)  # another one is called 2, and is matched
     assert score(traffic).false_positives == 0
     for car in traffic.cars:
@@ -146,7 +146,7 @@ def test_tracks_of_one_name_are_one_vehicle(traffic: Scene) -> None:
     assert score(traffic).false_positives == 1
 
 
-def test_vertical_and_standing_tracks_are_failures_not_crashes(traffic: Scene) -> None:
+def test_vertical_and_standing_tracks_are_failures_not_crashes(traffic: Traffic) -> None:
     model = traffic.track(12.0, 20.0, 1, "vertical")
     middle = float(np.median(model["posX"]))
     traffic.cars.append(model | {"posX": [middle] * len(model["posX"])})
@@ -158,7 +158,7 @@ def test_vertical_and_standing_tracks_are_failures_not_crashes(traffic: Scene) -
     assert (got["intersection_failures"], got["false_positives"], got["n"]) == (2, 2, 4)
 
 
-def test_a_track_without_passing_time_is_a_failure(traffic: Scene) -> None:
+def test_a_track_without_passing_time_is_a_failure(traffic: Traffic) -> None:
     frozen = traffic.track(12.0, 20.0, 1)
     traffic.cars.append(frozen | {"frames": [600 + i // 20 for i in range(len(frozen["frames"]))]})
     got = row(traffic)
@@ -166,7 +166,7 @@ def test_a_track_without_passing_time_is_a_failure(traffic: Scene) -> None:
     assert math.isfinite(got["mean"])
 
 
-def test_a_car_on_a_lane_border_counts_in_the_first_lane(scene: Scene) -> None:
+def test_a_car_on_a_lane_border_counts_in_the_first_lane(scene: Traffic) -> None:
     data = {"fps": 50.0, "invalidLanes": set(), "distanceMeasurement": []}
     data["measurementLines"] = [np.array([0.0, 1.0, -900.0]), np.array([0.0, 1.0, -200.0])]
     data["laneDivLines"] = [np.array([1.0, 0.0, -x]) for x in (400.0, 800.0, 1200.0)]
@@ -196,14 +196,14 @@ def test_a_car_on_a_lane_border_counts_in_the_first_lane(scene: Scene) -> None:
     assert outside.dropped == {"outside the lanes": 1}
 
 
-def test_invalid_lanes_take_their_tracks_but_not_their_cars(traffic: Scene) -> None:
+def test_invalid_lanes_take_their_tracks_but_not_their_cars(traffic: Traffic) -> None:
     traffic.invalid_lanes = {0}
     got = row(traffic)
     assert (got["n"], got["matched"], got["recall"], got["false_positives"]) == (2, 2, 0.5, 0)
     assert score(traffic).dropped == {"in an invalid lane": 2}
 
 
-def test_no_tracks_at_all(traffic: Scene) -> None:
+def test_no_tracks_at_all(traffic: Traffic) -> None:
     traffic.cars = []
     got = row(traffic)
     assert (got["n"], got["matched"], got["false_positives"], got["recall"]) == (0, 0, 0, 0.0)
@@ -212,7 +212,7 @@ def test_no_tracks_at_all(traffic: Scene) -> None:
     json.dumps(got, allow_nan=False)
 
 
-def test_no_valid_cars_and_no_surveyed_segments(traffic: Scene) -> None:
+def test_no_valid_cars_and_no_surveyed_segments(traffic: Traffic) -> None:
     data = traffic.truth_data() | {"distanceMeasurement": []}
     for car in data["cars"]:
         car["valid"] = False
@@ -222,7 +222,7 @@ def test_no_valid_cars_and_no_surveyed_segments(traffic: Scene) -> None:
     assert got["calibration_ratio_error_relative_mean"] is None
 
 
-def test_a_calibration_without_scale_is_refused(traffic: Scene) -> None:
+def test_a_calibration_without_scale_is_refused(traffic: Traffic) -> None:
     camera = Camera(traffic.camera.vp1, traffic.camera.vp2, traffic.camera.pp, name="bare")
     with pytest.raises(CalibrationError, match=r"bare.*no scale"):
         score_recording(traffic.truth(), traffic.tracks(), camera)
@@ -242,7 +242,7 @@ def test_a_calibration_without_scale_is_refused(traffic: Scene) -> None:
         ({"cars": [{"carId": 7, "intersections": []}]}, "car 7 crosses no measurement line"),
     ],
 )
-def test_ground_truth_that_cannot_be_scored_is_refused(traffic: Scene, change: dict[str, Any], message: str) -> None:
+def test_ground_truth_that_cannot_be_scored_is_refused(traffic: Traffic, change: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=message) as caught:
         parse_ground_truth(traffic.truth_data() | change)
     assert "\n" not in str(caught.value)
@@ -253,7 +253,7 @@ def test_ground_truth_that_is_something_else_is_refused() -> None:
         parse_ground_truth([1, 2])
 
 
-def nasty(rng: np.random.Generator) -> Scene:
+def nasty(rng: np.random.Generator) -> Traffic:
     """Traffic with misses, wrong lanes, noise, cuts, vertical and standing tracks, shared names and bad lanes."""
     scene = make_scene()
     for last_s in np.cumsum(rng.uniform(0.1, 1.5, 30)) + 5:
@@ -298,7 +298,7 @@ def test_agrees_with_the_protocol_car_by_car(seed: int, low_horizon: bool) -> No
     np.testing.assert_allclose(absolute_errors(got), expected["errors"], rtol=1e-6, atol=1e-6)
 
 
-def test_of_equally_near_tracks_in_two_lanes_the_first_in_the_file_wins(scene: Scene) -> None:
+def test_of_equally_near_tracks_in_two_lanes_the_first_in_the_file_wins(scene: Traffic) -> None:
     # Lanes 400 < x < 800 < 1200. The tracks y = 8 x + const are exact in binary, so that both cross y = 900 in the very
     # same instant; being in different parts of the picture, they have different speeds.
     crossing = {"measurementLineId": 0, "videoTime": 1.8}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from score_scenes import Scene
+from score_scenes import Traffic
 
 from detector.evaluation.brnocompspeed import line_crossings, prefilter
 from detector.tracking.tracks import Tracks
@@ -91,7 +91,7 @@ def test_lanes_hold_their_borders_and_the_first_one_wins(x: float, lane: int, si
     assert lanes_of(np.array([[x, 500.0]]), lines).tolist() == [lane]
 
 
-def long_track(scene: Scene, **changes: Any) -> dict[str, Any]:
+def long_track(scene: Traffic, **changes: Any) -> dict[str, Any]:
     return scene.track(10.0, 20.0, 1) | changes
 
 
@@ -118,7 +118,7 @@ def long_track(scene: Scene, **changes: Any) -> dict[str, Any]:
         (lambda s: {k: v[-10:] for k, v in long_track(s).items() if k != "id"}, "not between the measurement lines"),
     ],
 )
-def test_cars_that_do_not_count_are_counted_with_the_reason(scene: Scene, car: Any, reason: str) -> None:
+def test_cars_that_do_not_count_are_counted_with_the_reason(scene: Traffic, car: Any, reason: str) -> None:
     scene.add_both(10.0, 20.0, 0)
     scene.invalid_lanes = {2}
     scene.cars.append(car(scene))
@@ -127,7 +127,7 @@ def test_cars_that_do_not_count_are_counted_with_the_reason(scene: Scene, car: A
     assert kept.dropped == Counter({reason: 1})
 
 
-def test_points_within_ten_pixels_of_the_border_are_left_out(scene: Scene) -> None:
+def test_points_within_ten_pixels_of_the_border_are_left_out(scene: Traffic) -> None:
     scene.add_both(10.0, 20.0, 0)
     truth = replace(scene.truth(), lane_lines=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1920.0]]))
     xs = [10.0, 10.5, 1909.5, 1910.0, *([500.0] * 20)]
@@ -138,7 +138,7 @@ def test_points_within_ten_pixels_of_the_border_are_left_out(scene: Scene) -> No
     assert len(kept.frames) == 20
 
 
-def test_the_first_time_seen_counts_before_points_are_left_out(scene: Scene) -> None:
+def test_the_first_time_seen_counts_before_points_are_left_out(scene: Traffic) -> None:
     # Seen at the border long before the last ground-truth car, and in the picture only after it.
     scene.add_both(10.0, 20.0, 0)
     late = scene.track(30.0, 20.0, 1)
@@ -148,7 +148,7 @@ def test_the_first_time_seen_counts_before_points_are_left_out(scene: Scene) -> 
 
 
 @pytest.mark.parametrize(("first_frame", "kept"), [(499, True), (500, False)])
-def test_a_car_first_seen_at_the_last_true_crossing_is_too_late(scene: Scene, first_frame: int, kept: bool) -> None:
+def test_a_car_first_seen_at_the_last_true_crossing_is_too_late(scene: Traffic, first_frame: int, kept: bool) -> None:
     scene.add_truth(10.0, 20.0, 0)  # frame 500 at 50 frames per second
     model = scene.track(12.0, 20.0, 1)
     scene.cars.append(model | {"frames": [first_frame + i for i in range(len(model["frames"]))]})
@@ -156,7 +156,7 @@ def test_a_car_first_seen_at_the_last_true_crossing_is_too_late(scene: Scene, fi
 
 
 @pytest.mark.parametrize(("points", "kept"), [(5, False), (6, True)])
-def test_six_points_are_enough(scene: Scene, points: int, kept: bool) -> None:
+def test_six_points_are_enough(scene: Traffic, points: int, kept: bool) -> None:
     scene.add_truth(10.0, 20.0, 0)
     model = scene.track(10.0, 20.0, 0)
     middle = slice(20, 20 + points)

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from detector.evaluation import LuvizonVideo, fit_lane_scales, luvizon_row, read_luvizon_video, score_luvizon
-from detector.evaluation.luvizon import track_lanes
+from detector.evaluation.luvizon import luvizon_row, score_luvizon, track_lanes
 from detector.tracking.tracks import Tracks
 from labelgen.cli.main import main
-from labelgen.datasets.luvizon import select_videos
+from labelgen.datasets.luvizon import LuvizonVideo, read_luvizon_video, select_videos
 from labelgen.errors import CalibrationError, DataError
 from labelgen.geometry import Camera
 
@@ -131,8 +130,6 @@ def test_the_two_signs_differ(video: LuvizonVideo) -> None:
 def test_one_scale_for_each_lane(video: LuvizonVideo) -> None:
     score = score_luvizon(video, Tracks.from_cars(CARS), None, [1.0, 2.0, 0.5])
     np.testing.assert_allclose(score.speeds_kmh, [51.5, 2 * 57.1, 42.5 / 2, 41.0, np.nan])
-    fitted = fit_lane_scales([score_luvizon(video, Tracks.from_cars(CARS), None)])
-    np.testing.assert_allclose(fitted, [np.median([50 / 51.5, 45 / 41.0]), 60 / 57.1, 40 / 42.5])
 
 
 def test_a_calibration_measures_all_lanes(video: LuvizonVideo) -> None:
@@ -189,11 +186,6 @@ def test_tracks_too_short_for_a_speed_are_not_taken(video: LuvizonVideo) -> None
 def test_wrong_lane_scales_are_refused(video: LuvizonVideo, scales: list[float]) -> None:
     with pytest.raises(CalibrationError, match="lane_scales"):
         score_luvizon(video, Tracks.from_cars(CARS), None, scales)
-
-
-def test_a_lane_without_a_match_cannot_be_fitted(video: LuvizonVideo) -> None:
-    with pytest.raises(CalibrationError, match="lane 3"):
-        fit_lane_scales([score_luvizon(video, Tracks.from_cars(CARS[:2]), None)])
 
 
 BOMB = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "boom"><!ENTITY c "&b;&b;&b;">]><a><g>&c;</g></a>'

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from detector.evaluation import recording_row, score_results
+from detector.evaluation.results_folder import score_results
+from detector.evaluation.summary import recording_row
 
 REAL = os.environ.get("LABELGEN_REAL_DATA")
 

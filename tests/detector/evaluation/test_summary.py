@@ -1,3 +1,5 @@
+"""Rows of figures, tables and plots, from recordings with known errors."""
+
 from __future__ import annotations
 
 import csv
@@ -5,21 +7,12 @@ import io
 
 import numpy as np
 import pytest
-from score_scenes import Scene, make_scene
+from score_scenes import Traffic, make_scene
 
-from detector.evaluation import (
-    SPEED_COLUMNS,
-    TableFormat,
-    absolute_errors,
-    common_only,
-    format_table,
-    pooled_row,
-    recording_row,
-    relative_errors,
-    score_recording,
-)
-from detector.evaluation.brnocompspeed import RecordingScore
+from detector.evaluation.brnocompspeed import RecordingScore, score_recording
 from detector.evaluation.plots import plot_cumulative_errors
+from detector.evaluation.summary import absolute_errors, common_only, pooled_row, recording_row, relative_errors
+from detector.evaluation.tables import SPEED_COLUMNS, TableFormat, format_table
 from labelgen.errors import DataError, OutputError
 
 
@@ -97,11 +90,6 @@ def test_no_rows_no_table(style: TableFormat) -> None:
     assert format_table([], SPEED_COLUMNS, style) == ""
 
 
-def test_unknown_table_format_is_refused() -> None:
-    with pytest.raises(DataError, match="expected text, markdown, csv"):
-        TableFormat.parse("html")
-
-
 @pytest.mark.parametrize("errors", [{}, {"none": np.empty(0)}, {"one": np.array([0.0]), "none": np.empty(0)}])
 def test_plots_of_hardly_anything(tmp_path, errors) -> None:
     plot_cumulative_errors(errors, tmp_path / "plot.svg")
@@ -113,7 +101,7 @@ def test_a_plot_that_cannot_be_written_is_one_line(tmp_path) -> None:
         plot_cumulative_errors({"a": np.array([1.0])}, tmp_path / "missing" / "plot.png")
 
 
-def test_scene_of_the_tests_sees_every_lane(scene: Scene) -> None:
+def test_scene_of_the_tests_sees_every_lane(scene: Traffic) -> None:
     for lane in range(3):
         scene.add_both(10.0 + lane, 20.0, lane)
     assert score_recording(scene.truth(), scene.tracks(), scene.camera).matched.all()

@@ -1,3 +1,5 @@
+"""Values per track: medians, nearest points, and speeds over gaps of five points."""
+
 from __future__ import annotations
 
 import numpy as np

@@ -181,7 +181,7 @@ def break_calibration(root: Path) -> None:
         (None, ["--recordings", "session9_left"], "no recording session9_left.*session1_left"),
         (None, ["--recordings", ","], "no recording"),
         (None, ["--calibration", "nobody"], r"system_nobody\.json: no such file"),
-        (None, ["--format", "html"], "expected text, markdown, csv"),
+        (None, ["--format", "html"], "'html' is not one of 'text', 'markdown', 'csv'"),
         (None, ["--json", "/proc/nowhere/out.json"], "cannot write"),
     ],
 )
