@@ -97,7 +97,7 @@ def track_lanes(tracks: Tracks, video: LuvizonVideo) -> IntArray:
 def _speeds_kmh(tracks: Tracks, video: LuvizonVideo, lanes: IntArray, camera: Camera | None, scales: Array) -> Array:
     """Return (N,) speeds with the scale of each lane; NaN for tracks without a lane."""
     if camera is None:
-        matrices = np.concatenate([np.eye(3)[None], video.homographies])[lanes[tracks.owners]]
+        matrices = np.concatenate([np.eye(3)[None], video.homographies])[lanes[tracks.track_numbers]]
         points = apply_homography(matrices, tracks.points_px[:, None], behind="keep")[:, 0]
     else:
         points = camera.road_points(tracks.points_px, invalid="nan")

@@ -1,7 +1,7 @@
-"""Tracks of vehicles as the public result files hold them.
+"""Tracks of vehicles, as the public result files hold them.
 
-A result file is `{"camera_calibration": {...}, "cars": [{"id", "frames", "posX", "posY"}, ...]}`; a car's positions may
-be single numbers, and other keys (`contours`) may stand beside them.
+A result file is `{"camera_calibration": {...}, "cars": [{"id", "frames", "posX", "posY"}, ...]}`. In some published
+files the positions of a car are single numbers in place of lists, and some cars have other keys (`contours`) as well.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.tracking.per_track import owners
+from detector.tracking.per_track import track_numbers
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array, IntArray
@@ -29,11 +29,11 @@ class Tracks:
     """Tracks of N vehicles with P points altogether.
 
     Args:
-        points_px: (P, 2) frame px, all tracks back to back.
-        frames: (P,) frame numbers, as the file gives them (they need not be sorted).
-        offsets: (N + 1,) where each track starts.
-        ids: (N,) the file's own names for the tracks; they need not be unique.
-        dropped: how many cars were left out so far, by reason.
+        points_px: (P, 2) frame px, one track after the other.
+        frames: (P,) frame numbers as in the file; they need not be sorted.
+        offsets: (N + 1,) first row of each track, and P.
+        ids: (N,) names of the tracks as in the file; they need not be unique.
+        dropped: number of cars that were left out so far, by reason.
     """
 
     points_px: Array
@@ -46,41 +46,45 @@ class Tracks:
         return len(self.offsets) - 1
 
     @property
-    def owners(self) -> IntArray:
-        """(P,) which track each point belongs to."""
-        return owners(self.offsets)
+    def track_numbers(self) -> IntArray:
+        """(P,) number of the track that each point belongs to."""
+        return track_numbers(self.offsets)
 
     @property
     def lengths(self) -> IntArray:
-        """(N,) points per track."""
+        """(N,) number of points per track."""
         return np.diff(self.offsets)
 
     def count(self, points: NDArray[np.bool_]) -> IntArray:
-        """(N,) how many of each track's points are marked in `points` (P,)."""
-        return np.bincount(self.owners[points], minlength=len(self))
+        """Return (N,) how many points of each track are True in `points` (P,)."""
+        return np.bincount(self.track_numbers[points], minlength=len(self))
 
     def keep_points(self, keep: NDArray[np.bool_]) -> Tracks:
-        """The same tracks with some of their points; a track may become empty."""
+        """Return the same tracks with the points that are True in `keep` (P,); a track may become empty."""
         offsets = np.concatenate([[0], np.cumsum(self.count(keep))])
         return Tracks(self.points_px[keep], self.frames[keep], offsets, self.ids, self.dropped)
 
     def keep_tracks(self, keep: NDArray[np.bool_], reason: str) -> Tracks:
-        """Some of the tracks; the others are counted as dropped for `reason`."""
-        lost = int(np.count_nonzero(~keep))
-        if not lost:
+        """Return the tracks that are True in `keep` (N,); the others are counted as dropped for `reason`."""
+        removed = int(np.count_nonzero(~keep))
+        if not removed:
             return self
-        rows = keep[self.owners]
+        rows = keep[self.track_numbers]
         return Tracks(
             self.points_px[rows],
             self.frames[rows],
             np.concatenate([[0], np.cumsum(self.lengths[keep])]),
-            tuple(name for name, kept in zip(self.ids, keep, strict=True) if kept),
-            self.dropped + Counter({reason: lost}),
+            tuple(name for name, keep_it in zip(self.ids, keep, strict=True) if keep_it),
+            self.dropped + Counter({reason: removed}),
         )
 
     @classmethod
     def from_cars(cls, cars: list[Any]) -> Tracks:
-        """Tracks from the `cars` of a result file; cars without usable lists are dropped and counted."""
+        """Make tracks from the `cars` of a result file; cars without usable lists are dropped and counted.
+
+        Args:
+            cars: as JSON holds them, each with "posX", "posY" and "frames".
+        """
         xs, ys, frames, ids = [], [], [], []
         dropped: Counter[str] = Counter()
         for number, car in enumerate(cars):
@@ -91,7 +95,7 @@ class Tracks:
             xs.append(parts[0])
             ys.append(parts[1])
             frames.append(parts[2])
-            # A car without a name of its own must not be taken for another one.
+            # Cars without an id get distinct ones, so that they are not taken for the same car.
             name = car.get("id")
             ids.append(name if isinstance(name, int | float | str) else ("car", number))
         offsets = np.concatenate([[0], np.cumsum([len(part) for part in frames], dtype=np.int64)])
@@ -101,7 +105,7 @@ class Tracks:
 
 
 def _car_arrays(car: Any) -> tuple[Array, Array, Array] | str:
-    """posX, posY and frames of one car, or the reason why it has none."""
+    """Return posX, posY and frames of one car, or the reason why it is dropped."""
     if not isinstance(car, Mapping):
         return "not an object"
     arrays = []
@@ -128,14 +132,20 @@ def _car_arrays(car: Any) -> tuple[Array, Array, Array] | str:
 
 @dataclass(frozen=True, eq=False)
 class ResultFile:
-    """One parsed result file: its tracks, and its calibration as the file gives it (None where it has none)."""
+    """Contents of one result file.
+
+    Args:
+        path: of the file.
+        tracks: of its cars.
+        calibration: `camera_calibration` as in the file; None where there is none.
+    """
 
     path: Path
     tracks: Tracks
     calibration: Any
 
     def camera(self) -> Camera:
-        """The file's own calibration.
+        """Return the calibration of the file.
 
         Raises:
             CalibrationError: there is none in the file, or it describes no camera.
@@ -143,13 +153,16 @@ class ResultFile:
         return Camera.from_dict({"camera_calibration": self.calibration}, name=str(self.path))
 
     def lane_scales(self) -> Any:
-        """`lane_scales` of the calibration, as the file gives it: one factor per lane; ones where there are none."""
+        """Return `lane_scales` of the calibration as in the file, one factor per lane; three ones by default."""
         calibration = self.calibration if isinstance(self.calibration, Mapping) else {}
         return calibration.get("lane_scales", [1.0, 1.0, 1.0])
 
 
 def read_results(path: str | Path) -> ResultFile:
-    """Read a public result file.
+    """Read a result file of the public format.
+
+    Args:
+        path: of the file.
 
     Raises:
         DataError: no such file, not JSON, or no list `cars` in it.
@@ -158,7 +171,7 @@ def read_results(path: str | Path) -> ResultFile:
     try:
         data = json.loads(path.read_bytes())
     except FileNotFoundError:
-        raise DataError(f"results {path}: no such file; check --results, --system and --recordings") from None
+        raise DataError(f"results {path}: no such file; check its folder and the name of the system") from None
     except OSError as err:
         raise DataError(f"results {path}: {err.strerror or err}") from None
     except (ValueError, RecursionError) as err:

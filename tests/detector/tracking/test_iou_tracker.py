@@ -101,9 +101,7 @@ def test_tracks_end_when_their_time_is_over() -> None:
     assert tracker.update(1, [A])[1] == []
     assert tracker.update(3, [A])[1] == []  # B was missed in frames 1, 2
     assert tracker.update(4, [A])[1] == [2]  # and 3
-    assert tracker.active == [1]
     assert tracker.finish() == [1]
-    assert tracker.active == []
     assert tracker.finish() == []
 
 
