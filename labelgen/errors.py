@@ -10,13 +10,16 @@ class LabelgenError(Exception):
 
     Args:
         message: the line.
-        parameter: name of the function parameter whose value is wrong, as in the function's signature. The command
-            line names the option that sets it.
+        parameter: name of the function parameter whose value is wrong or missing, as in the function's signature, or
+            several. The command line names the options that set them.
+
+    Attributes:
+        parameters: the names, none or several.
     """
 
-    def __init__(self, message: str = "", *, parameter: str | None = None) -> None:
+    def __init__(self, message: str = "", *, parameter: str | tuple[str, ...] | None = None) -> None:
         super().__init__(message)
-        self.parameter = parameter
+        self.parameters = (parameter,) if isinstance(parameter, str) else tuple(parameter or ())
 
 
 class CalibrationError(LabelgenError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -104,7 +104,7 @@ def measure(
     fps: float | None,
     render: bool = False,
     keep_detections: bool = True,
-    progress: Any = None,
+    progress: Callable[[int], object] | None = None,
 ) -> SpeedSummary:
     """Track, measure and write, until the detections end or somebody interrupts.
 
@@ -116,7 +116,7 @@ def measure(
         fps: frames per second, where known; rendering wants it.
         render: whether to write the annotated video.
         keep_detections: whether to write the detections.
-        progress: a bar with `update()`.
+        progress: takes the number of frames done since its last call.
 
     Raises:
         LabelgenError: what the source raises, after all its vehicles are on disk; or a file cannot be written, after
@@ -140,7 +140,7 @@ def measure(
                 summary.detections += len(detections)
                 summary.last_s = detections.time_s
                 if progress is not None:
-                    progress.update()
+                    progress(1)
         except KeyboardInterrupt:
             summary.interrupted = True
         finally:

@@ -14,12 +14,15 @@ from labelgen.cli.options import (
     PairOption,
     QualityOption,
     RoadMaskOption,
+    RuleOption,
     SceneSizeOption,
     WorkersOption,
     check_report_path,
-    note,
+    rectified_size,
     show_summary,
 )
+from labelgen.geometry.outline_label import Rule
+from labelgen.geometry.vanishing_pair import Pair, Region
 
 __all__ = ["bcs_masks"]
 
@@ -40,21 +43,21 @@ def bcs_masks(
     weights: Annotated[
         Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
     ] = None,
-    rule: Annotated[
-        str, typer.Option("--rule", metavar="RULE", help="How c_c's two candidates become one: wider or conditioned.")
-    ] = "wider",
+    rule: RuleOption = Rule.WIDER,
     every: Annotated[
         int | None,
         typer.Option("--every", min=1, metavar="N", help="Take every N-th frame; 25 by default."),
     ] = None,
-    pair: PairOption = "VP2-VP3",
+    pair: PairOption = Pair.VP2_VP3,
     size: SceneSizeOption = None,
     region: Annotated[
-        str,
+        Region,
         typer.Option(
-            "--region", metavar="NAME", help="What is rectified: road; frame (Previous2D, Previous3D); none (Orig2D)."
+            "--region",
+            case_sensitive=False,
+            help="What is rectified: the road; the frame (Previous2D, Previous3D); none (Orig2D).",
         ),
-    ] = "road",
+    ] = Region.ROAD,
     limit: Annotated[
         int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N taken frames of each video.")
     ] = None,
@@ -80,7 +83,7 @@ def bcs_masks(
     from labelgen.calibration.complete_scene import complete_scene
     from labelgen.choices import Pair, Region, Rule, parse_size
     from labelgen.datasets.manifest import load_manifest
-    from labelgen.datasets.scene import find_scene_parts
+    from labelgen.datasets.scene import find_scene
     from labelgen.errors import LabelgenError
     from labelgen.jobs.runner import run_job
     from labelgen.jobs.video import MaskSettings, video_job
@@ -88,36 +91,28 @@ def bcs_masks(
     from labelgen.shards.image_codec import ImageCodec
 
     check_report_path(json_file)
-    chosen_pair = Pair.parse(pair)
     manifest = load_manifest("brnocompspeed")
-    size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])
+    size_wh = rectified_size(size, pair, manifest)
     # What is wrong with any input is found out before the first one is calibrated.
-    names = [find_scene_parts(path, calibration=calibration, road_mask=road_mask)[0].name for path in inputs]
+    scenes = [find_scene(path, calibration=calibration, road_mask=road_mask, may_lack=True) for path in inputs]
     if out is None:
-        if len(names) > 1:
-            raise LabelgenError("several inputs: name the folder for their common shards with --out DIR")
-        out = Path("shards") / names[0]
-    beside = out
-    scenes = [
-        complete_scene(
-            path, lambda name: beside if len(inputs) == 1 else beside / name, note,
-            calibration=calibration, road_mask_file=road_mask, need_scale=False,
-        )
-        for path in inputs
-    ]  # fmt: skip
-    settings = MaskSettings(
-        masks, weights, score, Rule.parse(rule), LabelLimits(min_height_px=min_height), device=device
-    )
+        if len(scenes) > 1:
+            raise LabelgenError("several inputs: name the folder for their common shards", parameter="out")
+        out = Path("shards") / scenes[0].name
+    single = len(scenes) == 1
+    scenes = [complete_scene(scene, out if single else out / scene.name, need_scale=False) for scene in scenes]
+    settings = MaskSettings(masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device)
     job = video_job(
         scenes,
-        chosen_pair,
+        pair,
         size_wh,
         settings,
-        region=Region.parse(region),
+        region=region,
         every=every or manifest["labels"]["every"],
         limit=limit,
         per_shard=per_shard,
         codec=ImageCodec(quality or None),
     )
     summary = run_job(job, out, overwrite=overwrite, workers=workers)
-    show_summary(f"Mask labels of {', '.join(names)}, {chosen_pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)
+    names = ", ".join(scene.name for scene in scenes)
+    show_summary(f"Mask labels of {names}, {pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)

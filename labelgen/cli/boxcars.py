@@ -14,8 +14,10 @@ from labelgen.cli.options import (
     QualityOption,
     WorkersOption,
     check_report_path,
+    rectified_size,
     show_summary,
 )
+from labelgen.geometry.vanishing_pair import Pair
 
 __all__ = ["boxcars"]
 
@@ -28,7 +30,7 @@ def boxcars(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the shards go.")] = Path(
         "shards/boxcars116k"
     ),
-    pair: PairOption = "VP2-VP3",
+    pair: PairOption = Pair.VP2_VP3,
     size: Annotated[
         str | None,
         typer.Option("--size", metavar="WxH", help="Size of the rectified crops; 320x180, or 180x320 for VP1-VP2."),
@@ -64,14 +66,13 @@ def boxcars(
 
     check_report_path(json_file)
     manifest = load_manifest("boxcars116k")
-    chosen_pair = Pair.parse(pair)
-    size_wh = parse_size(size or manifest["sizes"][str(chosen_pair)])
+    size_wh = rectified_size(size, pair, manifest)
     folder = find_root(manifest, root)
     data = BoxCars(folder, manifest["layout"], split, default_split=manifest["splits"]["name"])
     names = _camera_names(cameras, manifest["exclusions"]["cameras"], [*data.cameras, *data.bad_cameras])
     job = boxcars_job(
         data,
-        chosen_pair,
+        pair,
         size_wh,
         cameras=names,
         to_camera_only=to_camera_only,
@@ -81,7 +82,7 @@ def boxcars(
     )
     # The atlas lives in one process's memory.
     summary = run_job(job, out, overwrite=overwrite, workers=1 if data.from_atlas else workers)
-    show_summary(f"BoxCars116k labels, {chosen_pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)
+    show_summary(f"BoxCars116k labels, {pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)
 
 
 def _camera_names(text: str, excluded: list[str], known: list[str]) -> list[str] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,8 +12,9 @@ import typer
 from labelgen.cli.options import (
     JsonOption,
     OverwriteOption,
+    check_new_file,
     check_report_path,
-    note,
+    picture_suffix,
     print_table,
     write_json_report,
 )
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from labelgen.calibration.pipeline import Calibration
 
 __all__ = ["calibrate"]
+
+_log = logging.getLogger(__name__)
 
 
 def calibrate(
@@ -57,33 +61,32 @@ def calibrate(
     """
     from labelgen.atomic_files import make_folder, write_json
     from labelgen.calibration.complete_scene import calibrate_with_scale
-    from labelgen.errors import OutputError
     from labelgen.media.open_frames import open_frames
 
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
     check_report_path(json_file, out)
-    for option, path in (("--out", out), ("--picture", picture)):
-        if path is not None and path.is_dir():
-            raise OutputError(f"{option} {path}: it is a folder; name a file")
-        if path is not None and path.exists() and not overwrite:
-            raise OutputError(f"{option} {path}: it exists; add --overwrite or choose another name")
-    if picture is not None and picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise OutputError(f"--picture {picture}: name a .png or .jpg file")
-    middle = _point(pp)
-    done = calibrate_with_scale(
-        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), say=note, pp=middle,
-        duration_s=duration,
-    )  # fmt: skip
-    make_folder(out.absolute().parent)
-    write_json(out, done.to_dict())
+    check_new_file("--out", out, overwrite)
+    check_new_file("--picture", picture, overwrite)
     if picture is not None:
-        _write_picture(done, picture)
-    rows = _rows(done)
-    typer.echo(f"{done.camera.name} calibrated")
+        picture_suffix("--picture", picture)
+    calibration = calibrate_with_scale(
+        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), pp=_point(pp), duration_s=duration
+    )
+    make_folder(out.absolute().parent)
+    write_json(out, calibration.to_dict())
+    if picture is not None:
+        _write_picture(calibration, picture)
+    rows = _rows(calibration)
+    typer.echo(f"{calibration.camera.name} calibrated")
     print_table([*rows, ("in", out), *([("picture", picture)] if picture else [])])
-    for doubt in done.doubts:
-        typer.echo(f"note: {doubt}", err=True)
-    report = {**done.to_dict(), "focal": done.camera.focal, "vp3": done.camera.vp3.tolist(), "out": str(out)}
+    for doubt in calibration.doubts:
+        _log.warning("%s", doubt)
+    report = {
+        **calibration.to_dict(),
+        "focal": calibration.camera.focal,
+        "vp3": calibration.camera.vp3.tolist(),
+        "out": str(out),
+    }
     write_json_report(json_file, {**report, "picture": str(picture) if picture else None})
 
 
@@ -99,9 +102,9 @@ def _point(text: str | None) -> list[float] | None:
     return [x, y]
 
 
-def _rows(done: Calibration) -> list[tuple[str, Any]]:
-    camera, evidence = done.camera, done.orientation.evidence
-    confidence = done.confidence()
+def _rows(calibration: Calibration) -> list[tuple[str, Any]]:
+    camera, evidence = calibration.camera, calibration.orientation.evidence
+    confidence = calibration.confidence()
     points = [(f"VP{k}, px", "{:.1f}, {:.1f}".format(*camera.vanishing_point(k))) for k in (1, 2, 3)]
     points[0] = (points[0][0], f"{points[0][1]}  (known to {evidence.vp1_deg:.2f} degrees)")
     rows: list[tuple[str, Any]] = [
@@ -110,28 +113,28 @@ def _rows(done: Calibration) -> list[tuple[str, Any]]:
         ("vehicles", evidence.vehicles),
         ("tracks along the road", f"{evidence.along_share:.0%} of {evidence.tracks}"),
         ("edges across it", f"{evidence.across_edges:.0f} of {evidence.edges}"),
-        ("looked at, s", f"{evidence.seconds:.0f}" + ("" if done.seen.ended else " (enough)")),
+        ("looked at, s", f"{evidence.seconds:.0f}" + ("" if calibration.seen.ended else " (enough)")),
         ("confidence", f"{confidence['overall']:.2f}"),
     ]
-    if done.scale is not None:
-        known = f", known to {done.scale.spread:.1%}" if math.isfinite(done.scale.spread) else ""
-        rows.insert(4, ("scale", f"{done.scale.scale:.6g}  ({done.scale.method}{known})"))
+    if calibration.scale is not None:
+        known = f", known to {calibration.scale.spread:.1%}" if math.isfinite(calibration.scale.spread) else ""
+        rows.insert(4, ("scale", f"{calibration.scale.scale:.6g}  ({calibration.scale.method}{known})"))
     return rows
 
 
-def _write_picture(done: Calibration, path: Path) -> None:
+def _write_picture(calibration: Calibration, path: Path) -> None:
     import cv2
     import numpy as np
 
     from labelgen.atomic_files import make_folder, write_atomic
     from labelgen.calibration.plot import draw_calibration
 
-    seen = done.seen
+    seen = calibration.seen
     image = np.zeros((seen.size_wh[1], seen.size_wh[0], 3), np.uint8)
     if seen.background is not None:
         image = np.ascontiguousarray(seen.background[..., ::-1])
-    tracks = [seen.tracks[k] for k in done.orientation.supporting.tolist()]
-    text = [f"{done.camera.name}: confidence {done.confidence()['overall']:.2f}", *done.doubts]
-    drawn = draw_calibration(image, done.camera, tracks, text)
+    tracks = [seen.tracks[k] for k in calibration.orientation.supporting.tolist()]
+    text = [f"{calibration.camera.name}: confidence {calibration.confidence()['overall']:.2f}", *calibration.doubts]
+    drawn = draw_calibration(image, calibration.camera, tracks, text)
     make_folder(path.absolute().parent)
     write_atomic(path, cv2.imencode(path.suffix.lower(), drawn)[1].tobytes())

@@ -1,40 +1,123 @@
-"""The `labelgen` command: puts the commands together and turns errors into one line and an exit code."""
+"""The `labelgen` command: finds the command by its name, and turns errors into one line and an exit code.
+
+A command's file is imported when the command is called, so that `labelgen --help` needs no array library.
+"""
 
 from __future__ import annotations
 
+import logging
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, NamedTuple, NoReturn
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from labelgen import __version__
-from labelgen.cli.audit import audit
-from labelgen.cli.bcs_masks import bcs_masks
-from labelgen.cli.boxcars import boxcars
-from labelgen.cli.calibrate import calibrate
-from labelgen.cli.demo import demo
-from labelgen.cli.detect import detect
-from labelgen.cli.evaluate import evaluate
-from labelgen.cli.evaluate_detector import detector_test
-from labelgen.cli.export_model import export_model
-from labelgen.cli.rectify import rectify
-from labelgen.cli.road_mask import road_mask
-from labelgen.cli.shards import inspect, merge, validate
-from labelgen.cli.speed import speed
-from labelgen.cli.synth import synth_app
-from labelgen.cli.train import train
 from labelgen.errors import LabelgenError
 
 __all__ = ["app", "main"]
 
+
+class _Entry(NamedTuple):
+    """Where a command is: `module:name` of its function or of a Typer application, and its line in the overview."""
+
+    place: str
+    help: str
+
+
+_COMMANDS = {
+    "boxcars": _Entry("boxcars:boxcars", "BoxCars116k's 3D boxes -> shards."),
+    "bcs-masks": _Entry("bcs_masks:bcs_masks", "Traffic videos, through vehicle masks -> shards."),
+    "calibrate": _Entry("calibrate:calibrate", "Calibrate a camera from its video alone."),
+    "rectify": _Entry("rectify:rectify", "Rectify one picture of a scene."),
+    "road-mask": _Entry("road_mask:road_mask", "Mark the road in a video."),
+    "inspect": _Entry("shards:inspect", "Say what shards hold."),
+    "validate": _Entry("shards:validate", "Check shards and their index."),
+    "merge": _Entry("shards:merge", "Put shards of several data sets into one folder."),
+    "audit": _Entry("audit:audit", "Look at labels: contact sheets, figures, statistics."),
+    "demo": _Entry("demo:demo", "Synthetic traffic, labelled both ways, to look at."),
+    "synth": _Entry("synth:synth_app", "Synthetic traffic with exact truth, in the real layouts."),
+    "speed": _Entry("speed:speed", "Tracks and speeds of the vehicles in a video."),
+    "evaluate": _Entry("evaluate:evaluate", "Score tracks and speeds by the public protocols."),
+    "train": _Entry("train:train", "Train the detector on shards."),
+    "test-detector": _Entry("evaluate_detector:evaluate_detector", "Judge a detector on labelled shards."),
+    "detect": _Entry("detect:detect", "Find vehicles in videos, images or shards."),
+    "export-model": _Entry("export_model:export_model", "Write a detector as ONNX."),
+}
+# Parameters of the library whose option has another name.
+_OPTION_OF = {
+    "size_wh": "size",
+    "masks": "from_",
+    "score_threshold": "score",
+    "duration_s": "duration",
+    "stall_s": "stall",
+    "sun_deg": "sun",
+    "kinds": "bodies",
+    "road_mask_file": "road_mask",
+}
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+
+class _Command(TyperCommand):
+    """A command that says in which option a wrong parameter was given."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except LabelgenError as err:
+            options = {parameter.name: parameter.opts[0] for parameter in self.params}
+            names = [options.get(name) or options.get(_OPTION_OF.get(name, "")) for name in err.parameters]
+            raise _OptionError(err, [name for name in names if name is not None]) from err
+
+
+class _OptionError(LabelgenError):
+    """An error of the library, with the options that it is about."""
+
+    def __init__(self, err: LabelgenError, options: Sequence[str]) -> None:
+        text = " ".join(str(err).split())
+        if options and err.parameters and text.startswith(err.parameters[0]):
+            text = options[0] + text.removeprefix(err.parameters[0])
+        elif options and not any(option in text for option in options):
+            text += f" ({', '.join(options)})"
+        super().__init__(text)
+
+
+class _Commands(TyperGroup):
+    """The commands of the table, each imported when it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        entry = _COMMANDS.get(cmd_name)
+        if entry is None:
+            return None
+        module, name = entry.place.split(":")
+        function = getattr(import_module(f"labelgen.cli.{module}"), name)
+        if isinstance(function, typer.Typer):
+            for command in function.registered_commands:
+                command.cls = _Command
+            return typer.main.get_command(function)
+        application = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
+        application.command(cmd_name, short_help=entry.help, cls=_Command)(function)
+        return typer.main.get_command(application)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.help) for name, entry in _COMMANDS.items()])
+
+
 app = typer.Typer(
     name="labelgen",
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    context_settings=_SETTINGS,
 )
 
 
@@ -47,34 +130,24 @@ def _version(show: bool) -> None:
 @app.callback()
 def root(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Show the version."),
+    verbose: bool = typer.Option(False, "--verbose", "-v", help="Say more about what is being done."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Say only what went wrong."),
 ) -> None:
     """Labels for monocular 3D vehicle detection and speed measurement from traffic cameras."""
-
-
-app.command("boxcars", short_help="BoxCars116k's 3D boxes -> shards.")(boxcars)
-app.command("bcs-masks", short_help="Traffic videos, through vehicle masks -> shards.")(bcs_masks)
-app.command("calibrate", short_help="Calibrate a camera from its video alone.")(calibrate)
-app.command("rectify", short_help="Rectify one picture of a scene.")(rectify)
-app.command("road-mask", short_help="Mark the road in a video.")(road_mask)
-app.command("inspect", short_help="Say what shards hold.")(inspect)
-app.command("validate", short_help="Check shards and their index.")(validate)
-app.command("merge", short_help="Put shards of several data sets into one folder.")(merge)
-app.command("audit", short_help="Look at labels: contact sheets, figures, statistics.")(audit)
-app.command("demo", short_help="Synthetic traffic, labelled both ways, to look at.")(demo)
-app.add_typer(synth_app, name="synth", short_help="Synthetic traffic with exact truth, in the real layouts.")
-app.command("speed", short_help="Tracks and speeds of the vehicles in a video.")(speed)
-app.command("evaluate", short_help="Score tracks and speeds by the public protocols.")(evaluate)
-app.command("train", short_help="Train the detector on shards.")(train)
-app.command("test-detector", short_help="Judge a detector on labelled shards.")(detector_test)
-app.command("detect", short_help="Find vehicles in videos, images or shards.")(detect)
-app.command("export-model", short_help="Write a detector as ONNX.")(export_model)
+    level = logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO
+    for name in _LOGGERS:
+        logging.getLogger(name).setLevel(level)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted."""
+    with _log_to_standard_error():
+        sys.exit(_run(list(sys.argv[1:] if arguments is None else arguments)))
+
+
+def _run(arguments: list[str]) -> int:
     try:
-        given = list(sys.argv[1:] if arguments is None else arguments)
-        code = app(args=given, prog_name="labelgen", standalone_mode=False)
+        code = app(args=arguments, prog_name="labelgen", standalone_mode=False)
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
     except KeyboardInterrupt:
@@ -84,16 +157,44 @@ def main(arguments: Sequence[str] | None = None) -> None:
         where = f" {err.filename}" if err.filename else ""
         _fail(f"cannot use{where}: {err.strerror or err}")
     except Exception as err:
-        if type(err).__name__ == "Abort":  # what click makes of an interruption
+        if type(err).__name__ == "Abort":  # what Typer makes of an interruption
             _interrupted()
-        # Click's own errors, such as an unknown option; anything else is a bug and keeps its traceback.
+        # Typer's own errors, such as an unknown option; anything else is a bug and keeps its traceback.
         message = getattr(err, "format_message", None)
         if message is None:
             raise
         context = getattr(err, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
         _fail(f"{' '.join(message().split()).rstrip('.')}{hint}")
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
+
+
+_LOGGERS = ("labelgen", "detector")
+
+
+@contextmanager
+def _log_to_standard_error() -> Iterator[None]:
+    """Print what the library logs as lines on standard error, with the word `note` or `warning` before them."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_LineFormatter())
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(level)
+
+
+class _LineFormatter(logging.Formatter):
+    """One line for each record."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        word = "note" if record.levelno == logging.INFO else record.levelname.lower()
+        return f"{word}: {record.getMessage()}"
 
 
 def _interrupted() -> NoReturn:

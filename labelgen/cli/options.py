@@ -1,35 +1,74 @@
-"""What the commands share: option texts, the closing summary, --json."""
+"""What the commands share: options, checks of outputs, the closing summary, --json."""
 
 from __future__ import annotations
 
+import logging
 import os
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from labelgen.atomic_files import write_json
 from labelgen.errors import OutputError
-from labelgen.shards.index import DatasetSummary
+from labelgen.geometry.outline_label import Rule
+from labelgen.geometry.vanishing_pair import Pair, parse_size
+
+if TYPE_CHECKING:
+    from labelgen.shards.index import DatasetSummary
 
 __all__ = [
     "CalibrationOption",
+    "ContactPoint",
+    "Cover",
+    "Heading",
     "JsonOption",
     "OverwriteOption",
     "PairOption",
     "QualityOption",
     "RoadMaskOption",
+    "RuleOption",
     "SceneSizeOption",
     "WorkersOption",
+    "check_new_file",
     "check_report_path",
-    "note",
+    "picture_suffix",
     "print_table",
+    "rectified_size",
     "show_summary",
     "write_json_report",
 ]
 
+_log = logging.getLogger(__name__)
+
+
+class ContactPoint(StrEnum):
+    """Where a mask's vehicle ends towards the camera."""
+
+    VEHICLE = "vehicle"
+    OUTLINE = "outline"
+
+
+class Cover(StrEnum):
+    """What fills 80 % of a rectified picture."""
+
+    FRAME = "frame"
+    MASK = "mask"
+
+
+class Heading(StrEnum):
+    """Which way traffic drives."""
+
+    AWAY = "away"
+    CLOSER = "closer"
+
+
 PairOption = Annotated[
-    str, typer.Option("--pair", metavar="PAIR", help="Vanishing points made axis-parallel: VP2-VP3 or VP1-VP2.")
+    Pair, typer.Option("--pair", case_sensitive=False, help="Vanishing points whose directions become axis-parallel.")
+]
+RuleOption = Annotated[
+    Rule, typer.Option("--rule", case_sensitive=False, help="How the two candidates of c_c become one.")
 ]
 CalibrationOption = Annotated[
     Path | None,
@@ -59,13 +98,8 @@ QualityOption = Annotated[
 ]
 
 
-def note(text: str) -> None:
-    """A line on standard error."""
-    typer.echo(f"note: {text}", err=True)
-
-
 def print_table(rows: list[tuple[str, Any]]) -> None:
-    """Two aligned columns on standard output."""
+    """Print two aligned columns on standard output."""
     width = max((len(name) for name, _ in rows), default=0)
     for name, value in rows:
         typer.echo(f"  {name:<{width}}  {value}")
@@ -81,6 +115,27 @@ def check_report_path(path: Path | None, *others: Path | None) -> None:
         raise OutputError(f"--json {path}: its folder is missing or cannot be written; choose another file")
     if any(other is not None and other.resolve() == path.resolve() for other in others):
         raise OutputError(f"--json {path}: it is the output itself; choose another file")
+
+
+def check_new_file(option: str, path: Path | None, overwrite: bool) -> None:
+    """Refuse a file to write that is a folder, or that is there already without --overwrite."""
+    if path is not None and path.is_dir():
+        raise OutputError(f"{option} {path}: it is a folder; name a file")
+    if path is not None and path.exists() and not overwrite:
+        raise OutputError(f"{option} {path}: it exists; add --overwrite or choose another name")
+
+
+def picture_suffix(option: str, path: Path) -> str:
+    """Return the suffix of a picture to write, in lower case; refuse what is neither PNG nor JPEG."""
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".jpg", ".jpeg"):
+        raise OutputError(f"{option} {path}: name a .png or .jpg file")
+    return suffix
+
+
+def rectified_size(size: str | None, pair: Pair, manifest: dict[str, Any]) -> tuple[int, int]:
+    """Return the size (width, height) px that was asked for, or the data set's for the pair."""
+    return parse_size(size or manifest["sizes"][str(pair)])
 
 
 def write_json_report(path: Path | None, data: Any) -> None:
@@ -104,5 +159,5 @@ def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_fil
         rows.append(("in", out))
     print_table(rows)
     for warning in summary.warnings:
-        typer.echo(f"note: {warning}", err=True)
+        _log.warning("%s", warning)
     write_json_report(json_file, {**summary.to_dict(), **({"out": str(out)} if out is not None else {})})

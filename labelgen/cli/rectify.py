@@ -9,15 +9,20 @@ import typer
 
 from labelgen.cli.options import (
     CalibrationOption,
+    Cover,
     JsonOption,
     OverwriteOption,
     PairOption,
     RoadMaskOption,
     SceneSizeOption,
+    check_new_file,
     check_report_path,
+    picture_suffix,
     print_table,
+    rectified_size,
     write_json_report,
 )
+from labelgen.geometry.vanishing_pair import Pair
 
 __all__ = ["rectify"]
 
@@ -29,12 +34,14 @@ def rectify(
     out: Annotated[Path, typer.Option("--out", metavar="PICTURE", help="The rectified picture, PNG or JPEG.")],
     calibration: CalibrationOption = None,
     road_mask: RoadMaskOption = None,
-    pair: PairOption = "VP2-VP3",
+    pair: PairOption = Pair.VP2_VP3,
     size: SceneSizeOption = None,
     cover: Annotated[
-        str,
-        typer.Option("--cover", metavar="WHAT", help="What fills 80 % of the picture: frame (as published) or mask."),
-    ] = "frame",
+        Cover,
+        typer.Option(
+            "--cover", case_sensitive=False, help="What fills 80 % of the picture: frame (as published), mask."
+        ),
+    ] = Cover.FRAME,
     frame: Annotated[int, typer.Option("--frame", min=0, metavar="N", help="Frame of a video or image folder.")] = 0,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
@@ -47,29 +54,23 @@ def rectify(
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene
     from labelgen.datasets.scene_picture import read_picture
-    from labelgen.errors import LabelgenError, OutputError
     from labelgen.geometry.rectification import Rectification
 
     check_report_path(json_file, out)
-    chosen_pair = Pair.parse(pair)
-    size_wh = parse_size(size or load_manifest("brnocompspeed")["sizes"][str(chosen_pair)])
-    if cover not in ("frame", "mask"):
-        raise LabelgenError(f"--cover {cover}: unknown; use frame or mask")
-    if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise OutputError(f"--out {out}: name a .png or .jpg file")
-    if out.exists() and not overwrite:
-        raise OutputError(f"--out {out}: it exists; add --overwrite or choose another name")
+    size_wh = rectified_size(size, pair, load_manifest("brnocompspeed"))
+    suffix = picture_suffix("--out", out)
+    check_new_file("--out", out, overwrite)
     scene = find_scene(source, calibration=calibration, road_mask=road_mask, need_frames=False)
     image = read_picture(scene, frame)
     camera = scene.camera((image.shape[1], image.shape[0]))
     rectification = Rectification.from_road_mask(
-        camera, scene.road(), chosen_pair, size_wh, cover="mask" if cover == "mask" else "frame"
+        camera, scene.road(), pair, size_wh, cover="mask" if cover is Cover.MASK else "frame"
     )
     make_folder(out.parent)
-    encoded = cv2.imencode(out.suffix.lower(), rectification.warp_image(image))[1]
+    encoded = cv2.imencode(suffix, rectification.warp_image(image))[1]
     write_atomic(out, encoded.tobytes())
     report = {
-        "pair": str(chosen_pair),
+        "pair": str(pair),
         "size": list(size_wh),
         "matrix": rectification.matrix.tolist(),
         "inverse": rectification.inverse.tolist(),
@@ -82,7 +83,7 @@ def rectify(
         "out": str(out),
     }
     write_json_report(json_file, report)
-    typer.echo(f"{scene.name} rectified, {chosen_pair} {size_wh[0]}x{size_wh[1]}")
+    typer.echo(f"{scene.name} rectified, {pair} {size_wh[0]}x{size_wh[1]}")
     print_table(
         [
             ("VPU, px", "{:.1f}, {:.1f}".format(*rectification.vpu)),

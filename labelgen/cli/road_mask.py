@@ -7,7 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from labelgen.cli.options import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
+from labelgen.cli.options import (
+    JsonOption,
+    OverwriteOption,
+    check_new_file,
+    check_report_path,
+    print_table,
+    write_json_report,
+)
 
 __all__ = ["road_mask"]
 
@@ -40,26 +47,23 @@ def road_mask(
     check_report_path(json_file, out)
     if out.suffix.lower() != ".png":
         raise OutputError(f"--out {out}: name a .png file")
-    if out.is_dir():
-        raise OutputError(f"--out {out}: it is a folder; name a file")
-    if out.exists() and not overwrite:
-        raise OutputError(f"--out {out}: it exists; add --overwrite or choose another name")
+    check_new_file("--out", out, overwrite)
     frames = open_frames(video)
     if calibration is None:
-        done = calibrate_video(frames, duration_s=duration)
-        camera, seen = done.camera, done.seen
+        estimated = calibrate_video(frames, duration_s=duration)
+        camera, observations = estimated.camera, estimated.seen
     else:
         camera = Camera.load(calibration, image_wh=frames.size_wh)
-        seen = observe(frames, duration_s=duration)
-    found = estimate(camera, seen.tracks)
-    write_mask(out, found.pixels)
+        observations = observe(frames, duration_s=duration)
+    road = estimate(camera, observations.tracks)
+    write_mask(out, road.pixels)
     rows: list[tuple[str, Any]] = [
-        ("of the picture", f"{found.pixels.mean():.0%}"),
-        ("tracks along the road", f"{found.tracks}, {found.along:.0%} of all"),
-        ("looked at, s", f"{seen.duration_s:.0f}"),
+        ("of the picture", f"{road.pixels.mean():.0%}"),
+        ("tracks along the road", f"{road.tracks}, {road.along:.0%} of all"),
+        ("looked at, s", f"{observations.duration_s:.0f}"),
         ("in", out),
     ]
     typer.echo(f"Road in {frames.name}")
     print_table(rows)
-    report = {"share": float(found.pixels.mean()), "tracks": found.tracks, "along": found.along, "out": str(out)}
-    write_json_report(json_file, {**report, "seconds": seen.duration_s, "calibrated": calibration is None})
+    report = {"share": float(road.pixels.mean()), "tracks": road.tracks, "along": road.along, "out": str(out)}
+    write_json_report(json_file, {**report, "seconds": observations.duration_s, "calibrated": calibration is None})

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+import logging
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from detector.speed.job import SpeedJob, SpeedOptions, job_from_file, job_from_frames
+from detector.speed.measurement import Variant
 from labelgen.cli.options import (
     CalibrationOption,
+    ContactPoint,
     JsonOption,
     OverwriteOption,
     RoadMaskOption,
+    RuleOption,
     SceneSizeOption,
+    check_report_path,
     print_table,
+    rectified_size,
     write_json_report,
 )
-from labelgen.datasets.brnocompspeed import read_lane_lines
+from labelgen.errors import LabelgenError
+from labelgen.geometry.outline_label import Rule
+from labelgen.geometry.vanishing_pair import Pair
+from labelgen.progress import progress_bar
 
 if TYPE_CHECKING:
+    from detector.speed.job import SpeedJob
     from detector.speed.pipeline import SpeedSummary
     from detector.speed.results import ResultFiles
+    from labelgen.datasets.scene import Scene
 
 __all__ = ["speed"]
+
+_log = logging.getLogger(__name__)
 
 
 def speed(
@@ -44,26 +56,22 @@ def speed(
         ),
     ] = None,
     variant: Annotated[
-        str | None,
-        typer.Option(
-            "--variant",
-            metavar="NAME",
-            help="transform3d (default), transform2d, orig2d, maskrcnn3d, previous3d, previous2d, dubska or sochor.",
-        ),
+        Variant | None,
+        typer.Option("--variant", case_sensitive=False, help="How points are measured; transform3d by default."),
     ] = None,
-    pair: Annotated[str | None, typer.Option("--pair", metavar="PAIR", help="VP2-VP3 (default) or VP1-VP2.")] = None,
+    pair: Annotated[
+        Pair | None, typer.Option("--pair", case_sensitive=False, help="VP2-VP3 by default, or as the model needs it.")
+    ] = None,
     size: SceneSizeOption = None,
-    rule: Annotated[
-        str, typer.Option("--rule", metavar="RULE", help="How c_c's two candidates become one: wider or conditioned.")
-    ] = "wider",
+    rule: RuleOption = Rule.WIDER,
     near_end: Annotated[
-        str,
+        ContactPoint,
         typer.Option(
             "--near-end",
-            metavar="WHERE",
+            case_sensitive=False,
             help="Where a mask's vehicle ends: vehicle (as common bodies do) or outline (its lowest line).",
         ),
-    ] = "vehicle",
+    ] = ContactPoint.VEHICLE,
     score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a mask.")] = 0.5,
     weights: Annotated[
         Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
@@ -98,57 +106,137 @@ def speed(
     from detector.speed.pipeline import measure
     from detector.speed.results import ResultFiles
 
+    check_report_path(json_file)
     if from_ is None:
-        from_ = "masks:maskrcnn" if variant is not None and variant.strip().lower() == "sochor" else "masks:background"
-    chosen = SpeedOptions(
-        source, out, calibration, road_mask, from_, variant, pair, size, rule, near_end, score, weights, device, fps,
-        duration, stall,
-    )  # fmt: skip
+        from_ = "masks:maskrcnn" if variant is Variant.SOCHOR else "masks:background"
+    inputs = _Inputs(source, out, calibration, road_mask, fps, duration, stall, variant is Variant.DUBSKA)
     kind, _, argument = from_.partition(":")
-    job = (
-        job_from_file(chosen, Path(argument), render)
-        if kind == "detections"
-        else job_from_frames(chosen, kind, argument)
-    )
+    if kind == "masks" and argument:
+        job = _mask_job(
+            inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
+            weights, device,
+        )  # fmt: skip
+    elif kind == "model" and argument:
+        job = _model_job(inputs, Path(argument), variant, pair, size, score, device)
+    elif kind == "detections" and argument:
+        job = _file_job(inputs, Path(argument), variant, pair, size, render)
+    else:
+        raise LabelgenError(
+            f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, model:FILE or "
+            "detections:FILE",
+            parameter="from_",
+        )
     files = ResultFiles.of(out, job.name, str(job.view.variant))
     files.prepare(overwrite=overwrite)
-    lanes, notes = read_lane_lines(source)
-    meter = SpeedMeter(job.view.camera, fps=job.fps, lane_lines=lanes)
-    with _bar(job) as bar:
+    meter = SpeedMeter(job.view.camera, fps=job.fps, lane_lines=job.lane_lines)
+    with progress_bar(job.frame_count, "frame", job.name) as advance:
         try:
             summary = measure(
-                job.found(), job.view, meter, files, fps=job.fps, render=render, progress=bar,
+                job.detections(), job.view, meter, files, fps=job.fps, render=render, progress=advance,
                 keep_detections=kind != "detections",
             )  # fmt: skip
         except Exception:
-            bar.close()
             _say_what_is_there(files)
             raise
-    if job.detector is not None:
-        summary.rejects.update(job.detector.rejects)
-    summary.problems += [*notes, *job.problems()]
+    if job.source is not None:
+        summary.rejects.update(job.source.rejects)
+    summary.problems += job.problems()
     _close(job, files, summary, render, json_file)
 
 
-def _bar(job: SpeedJob) -> AbstractContextManager[Any]:
-    import sys
+class _Inputs(NamedTuple):
+    """What says where frames, calibration and road come from."""
 
-    from tqdm import tqdm
+    source: str
+    out: Path
+    calibration: Path | None
+    road_mask: Path | None
+    fps: float | None
+    duration_s: float | None
+    stall_s: float
+    scale_from_dimensions: bool
 
-    interval = 0.1 if sys.stderr.isatty() else 10.0  # a log file wants a line now and then
-    bar: AbstractContextManager[Any] = tqdm(total=job.expected, desc=job.name, unit="frame", mininterval=interval)
-    return bar
+    def open(self) -> Scene:
+        """Open the scene; where a calibration or road mask is missing, make it from the video."""
+        from labelgen.calibration.complete_scene import complete_scene
+        from labelgen.datasets.scene import find_scene, open_stream
+        from labelgen.media.stream import is_stream_url
+
+        if is_stream_url(self.source):
+            return open_stream(
+                self.source, calibration=self.calibration, road_mask=self.road_mask, duration_s=self.duration_s,
+                stall_s=self.stall_s, fps=self.fps,
+            )  # fmt: skip
+        path = Path(self.source)
+        name = _input_name(path)
+        files = find_scene(path, calibration=self.calibration, road_mask=self.road_mask, may_lack=True)
+        # Each system with the scale it was published with; models are what serves everything else best.
+        scale = "auto-dimensions" if self.scale_from_dimensions else "auto-models"
+        return replace(complete_scene(files, self.out / name, scale=scale).open(fps=self.fps), name=name)
+
+
+def _input_name(path: Path) -> str:
+    return path.resolve().name if path.is_dir() else path.stem
+
+
+def _mask_job(
+    inputs: _Inputs, masks: str, variant: Variant, pair: Pair, size: str | None, rule: Rule, near_end: ContactPoint,
+    score: float, weights: Path | None, device: str | None,
+) -> SpeedJob:  # fmt: skip
+    from detector.speed.job import MaskSpeedSettings, job_from_masks
+    from labelgen.datasets.manifest import load_manifest
+
+    settings = MaskSpeedSettings(
+        masks, variant, pair, rectified_size(size, pair, load_manifest("brnocompspeed")), rule,
+        near_end is ContactPoint.VEHICLE, score, weights, device,
+    )  # fmt: skip
+    return job_from_masks(inputs.open(), settings, duration_s=inputs.duration_s)
+
+
+def _model_job(
+    inputs: _Inputs, checkpoint: Path, variant: Variant | None, pair: Pair | None, size: str | None, score: float,
+    device: str | None,
+) -> SpeedJob:  # fmt: skip
+    from detector.inference import Detector
+    from detector.speed.job import job_from_model
+    from labelgen.geometry.vanishing_pair import parse_size
+
+    detector = Detector.load(checkpoint, score=score, device=device)
+    own = detector.card
+    if (pair or own.pair) != own.pair or (size and parse_size(size) != own.size_wh):
+        raise LabelgenError(
+            f"{checkpoint}: this detector sees {own.pair} pictures of {own.size_wh[0]}x{own.size_wh[1]}; leave out "
+            "--pair and --size, or use a checkpoint trained for them"
+        )
+    return job_from_model(inputs.open(), detector, variant, duration_s=inputs.duration_s)
+
+
+def _file_job(
+    inputs: _Inputs, path: Path, variant: Variant | None, pair: Pair | None, size: str | None, render: bool
+) -> SpeedJob:
+    from detector.speed.detection_file import DetectionFile
+    from detector.speed.job import job_from_file
+    from labelgen.datasets.scene import find_scene
+
+    file = DetectionFile.open(path)
+    for option, value in (("--variant", variant), ("--pair", pair), ("--size", size)):
+        if value:
+            raise LabelgenError(f"--from detections:{path}: the file itself says how it was made; leave out {option}")
+    source = Path(inputs.source)
+    scene = find_scene(source, calibration=inputs.calibration, road_mask=inputs.road_mask, need_frames=render)
+    job = job_from_file(file, scene, with_pictures=render, fps=inputs.fps, duration_s=inputs.duration_s)
+    return replace(job, name=_input_name(source))
 
 
 def _say_what_is_there(files: ResultFiles) -> None:
-    """After an error: how many vehicles are on disk."""
+    """Log, after an error, how many vehicles are on disk."""
     if files.vehicles.is_file():
         count = max(0, files.vehicles.read_bytes().count(b"\n") - 1)
-        typer.echo(f"note: {count} finished vehicles are in {files.tracks.parent}", err=True)
+        _log.warning("%d finished vehicles are in %s", count, files.tracks.parent)
 
 
 def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: bool, json_file: Path | None) -> None:
-    """Print the closing table, write --json, and tell why a stream broke off."""
+    """Print the closing table, write --json, and raise why a stream broke off."""
     report = summary.to_dict()
     rows: list[tuple[str, Any]] = [
         ("frames", summary.frames),
@@ -164,7 +252,7 @@ def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: boo
     typer.echo(f"Speeds of {job.name}, {job.view.variant}" + (f", {pair}" if pair else ""))
     print_table(rows)
     for problem in summary.problems:
-        typer.echo(f"note: {problem}", err=True)
+        _log.warning("%s", problem)
     written = {"tracks": files.tracks, "vehicles": files.vehicles, "detections": files.detections}
     if render:
         written["video"] = files.video

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.datasets.manifest import load_manifest
 from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import DataError
 from labelgen.geometry.homography import Array
@@ -18,7 +17,7 @@ from labelgen.geometry.homography import Array
 if TYPE_CHECKING:
     from labelgen.geometry.homography import Array
 
-__all__ = ["GroundTruth", "parse_ground_truth", "read_ground_truth", "read_lane_lines"]
+__all__ = ["GroundTruth", "parse_ground_truth", "read_ground_truth"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,16 +137,3 @@ def _check(truth: GroundTruth) -> None:
         problems.append("distanceMeasurement: expected finite points")
     if problems:
         raise DataError("; ".join(problems))
-
-
-def read_lane_lines(source: str) -> tuple[Array | None, list[str]]:
-    """The lane lines of a session, and what is wrong with its ground truth, if anything is."""
-    path = Path(source)
-    folder = path if path.is_dir() else path.parent
-    truth = folder / load_manifest("brnocompspeed")["layout"]["ground_truth"]
-    if "://" in source or not truth.is_file():
-        return None, []
-    try:
-        return read_ground_truth(truth).lane_lines, []
-    except DataError as err:
-        return None, [f"lanes are not known: {err}"]

@@ -1,4 +1,6 @@
-"""Scenes: a video, image or session folder together with its calibration and road mask.
+"""Scenes: a video, image or session folder together with its calibration, road mask and lanes.
+
+`find_scene` looks for the files, `SceneFiles.open` opens them once, and the `Scene` is handed down.
 
 A session is a folder of the BrnoCompSpeed layout (see data_manifests/brnocompspeed.toml). Beside any other
 video NAME.ext lie NAME.calibration.json and NAME.mask.png.
@@ -17,18 +19,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.datasets.brnocompspeed import read_ground_truth
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError
 from labelgen.geometry.camera import Camera
+from labelgen.geometry.homography import Array
 from labelgen.geometry.road_mask import RoadMask, binary_mask
 from labelgen.labels import Split
+from labelgen.media.frames import FrameSource
 from labelgen.media.image_file import read_image
+from labelgen.media.open_frames import open_frames
+from labelgen.media.stream import VideoStream
 
-__all__ = ["Scene", "find_scene", "find_scene_parts", "is_session", "read_mask"]
+__all__ = ["Scene", "SceneFiles", "find_scene", "is_session", "open_stream", "read_lane_lines", "read_mask"]
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneFiles:
     """Where a camera's frames, calibration and road mask are.
 
     Args:
@@ -39,6 +46,8 @@ class Scene:
         picture_path: a picture of the scene, where there is one.
         session: name of the BrnoCompSpeed session, or "".
         fps: frame rate that the data set states; None where it states none.
+        ground_truth_path: of a session, where it is there.
+        missing: which of "calibration" and "road mask" were found nowhere; their paths mean nothing.
     """
 
     name: str
@@ -48,17 +57,37 @@ class Scene:
     picture_path: Path | None = None
     session: str = ""
     fps: float | None = None
+    ground_truth_path: Path | None = None
+    missing: frozenset[str] = frozenset()
 
     def camera(self, image_wh: tuple[int, int]) -> Camera:
-        """The calibration, for frames of this size, under the scene's name."""
+        """Return the calibration under the scene's name, for frames of `image_wh` px (width, height)."""
         return replace(Camera.load(self.calibration_path, image_wh=image_wh), name=self.name)
 
     def road(self) -> RoadMask:
-        """The road mask."""
+        """Return the road mask."""
         return RoadMask(read_mask(self.mask_path))
 
+    def open(self, *, fps: float | None = None) -> Scene:
+        """Open the frames, the calibration, the road mask and, for a session, the lanes of its ground truth.
+
+        Args:
+            fps: frames per second to use instead of the data set's, where frames carry no rate of their own.
+
+        Raises:
+            DataError: a file is missing or damaged, or the video is not there.
+            CalibrationError: the calibration describes no camera above a road.
+        """
+        if self.frames_path is None:
+            raise DataError(f"{self.name}: its video is not there")
+        frames = open_frames(self.frames_path)
+        lane_lines, notes = read_lane_lines(self)
+        return Scene(
+            self, self.name, frames, self.camera(frames.size_wh), self.road(), fps or self.fps, lane_lines, notes
+        )
+
     def split_of(self, frame: int) -> Split:
-        """Part of the published split C; NONE outside the data set."""
+        """Return the part of the published split C that a frame belongs to; NONE outside the data set."""
         if not self.session:
             return Split.NONE
         rules = load_manifest("brnocompspeed")["splits"]["C"]
@@ -70,52 +99,104 @@ class Scene:
         return Split.NONE
 
 
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One opened input: made once, handed down.
+
+    Args:
+        files: where everything came from; None for a live stream.
+        name: for messages and results.
+        frames: ready to iterate.
+        camera: calibrated, for frames of this size.
+        road: the road mask, of the frames' size.
+        fps: frames per second that the user or the data set states; None where nobody does.
+        lane_lines: (L, 3) homogeneous lines in frame px between which the lanes lie; None where they are not known.
+        notes: what could not be read, one line each.
+    """
+
+    files: SceneFiles | None
+    name: str
+    frames: FrameSource
+    camera: Camera
+    road: RoadMask
+    fps: float | None = None
+    lane_lines: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+def open_stream(
+    url: str,
+    *,
+    calibration: Path | None,
+    road_mask: Path | None,
+    duration_s: float | None = None,
+    stall_s: float = 30.0,
+    fps: float | None = None,
+) -> Scene:
+    """Open a live camera.
+
+    Args:
+        url: of the stream, in any protocol FFmpeg reads.
+        calibration, road_mask: their files; a stream has nothing beside it.
+        duration_s: stop after this many seconds; None goes on until the stream ends.
+        stall_s: seconds without a frame after which the stream counts as broken.
+        fps: frames per second where the stream states none.
+
+    Raises:
+        DataError: a file is missing, or the stream cannot be opened.
+        CalibrationError: the calibration describes no camera above a road.
+    """
+    if calibration is None or road_mask is None:
+        raise DataError(
+            f"{url}: a stream needs a calibration and a road mask of its own", parameter=("calibration", "road_mask")
+        )
+    road = RoadMask(read_mask(road_mask))
+    # Find out what is wrong with the files before the camera is connected.
+    Camera.load(calibration, image_wh=road.size_wh)
+    stream = VideoStream(url, duration_s=duration_s, stall_s=stall_s)
+    return Scene(None, stream.name, stream, Camera.load(calibration, image_wh=stream.size_wh), road, fps)
+
+
 def is_session(folder: Path) -> bool:
-    """Whether a folder is a session's of the BrnoCompSpeed layout."""
+    """Return whether a folder is a session's of the BrnoCompSpeed layout."""
     layout = load_manifest("brnocompspeed")["layout"]
     return any((folder / layout[part]).is_file() for part in ("road_mask", "ground_truth"))
 
 
 def find_scene(
-    path: Path, *, calibration: Path | None = None, road_mask: Path | None = None, need_frames: bool = True
-) -> Scene:
+    path: Path,
+    *,
+    calibration: Path | None = None,
+    road_mask: Path | None = None,
+    need_frames: bool = True,
+    may_lack: bool = False,
+) -> SceneFiles:
     """Find what belongs to a video, image or session folder.
 
     Args:
         path: video file, image file, folder of images, or session folder.
         calibration, road_mask: use these instead of looking beside the input.
         need_frames: whether a session without its video is an error.
+        may_lack: whether a calibration or road mask that is found nowhere is named in `SceneFiles.missing` rather
+            than being an error.
 
     Raises:
-        DataError: something is missing; names everything that is, and where it was looked for.
+        DataError: no such input, or something is missing; names everything that is, and where it was looked for.
     """
     scene, missing = _find(path, calibration, road_mask, need_frames)
-    _complain(path, missing)
-    return scene
-
-
-def find_scene_parts(
-    path: Path, *, calibration: Path | None = None, road_mask: Path | None = None
-) -> tuple[Scene, set[str]]:
-    """As `find_scene`, for those who can do without a calibration or a road mask.
-
-    Returns:
-        the scene, and which of "calibration" and "road mask" were found nowhere: their paths mean nothing.
-
-    Raises:
-        DataError: no such input, a session without its video, or a file that was given is not there.
-    """
-    scene, missing = _find(path, calibration, road_mask, True)
     given = {"calibration": calibration, "road mask": road_mask}
-    made = {name for name, file in given.items() if file is None and name in missing}
-    _complain(path, {name: text for name, text in missing.items() if name not in made})
-    return scene, made
+    lacking = {name for name, file in given.items() if may_lack and file is None and name in missing}
+    reasons = {name: text for name, text in missing.items() if name not in lacking}
+    if reasons:
+        parameters = tuple(name.replace(" ", "_") for name in reasons if name in given)
+        raise DataError(f"{path}: {'; '.join(reasons.values())}", parameter=parameters)
+    return replace(scene, missing=frozenset(lacking))
 
 
 def _find(
     path: Path, calibration: Path | None, road_mask: Path | None, need_frames: bool
-) -> tuple[Scene, dict[str, str]]:
-    """A scene, and what is missing of it, in words."""
+) -> tuple[SceneFiles, dict[str, str]]:
+    """Return the files of a scene, and in words what is missing of it."""
     if not path.exists():
         raise DataError(f"{path}: no such file or folder")
     layout = load_manifest("brnocompspeed")["layout"]
@@ -124,14 +205,21 @@ def _find(
         return _session(path, folder, layout, calibration, road_mask, need_frames)
     missing: dict[str, str] = {}
     places = _beside(path, ".calibration.json")
-    calibration = _choose("calibration", "--calibration", calibration, places, missing)
-    road_mask = _choose("road mask", "--road-mask", road_mask, _beside(path, ".mask.png"), missing)
+    calibration = _choose("calibration", calibration, places, missing)
+    road_mask = _choose("road mask", road_mask, _beside(path, ".mask.png"), missing)
     name = path.resolve().name if path.is_dir() else path.stem
-    return Scene(name, path, calibration, road_mask, path if path.is_file() else None), missing
+    picture = path if path.is_file() else None
+    truth = _ground_truth(folder, layout)
+    return SceneFiles(name, path, calibration, road_mask, picture, ground_truth_path=truth), missing
+
+
+def _ground_truth(folder: Path, layout: dict[str, Any]) -> Path | None:
+    path = folder / layout["ground_truth"]
+    return path if path.is_file() else None
 
 
 def _beside(path: Path, suffix: str) -> list[Path]:
-    """Where NAME plus suffix may be: beside a folder by its real name, beside a file or what it is a link to."""
+    """Return where NAME plus suffix may be: beside a folder by its real name, beside a file or its link's target."""
     if path.is_dir():
         return [path.resolve().parent / (path.resolve().name + suffix)]
     return [place.parent / (place.stem + suffix) for place in dict.fromkeys([path.absolute(), path.resolve()])]
@@ -144,15 +232,15 @@ def _session(
     calibration: Path | None,
     road_mask: Path | None,
     need_frames: bool,
-) -> tuple[Scene, dict[str, str]]:
+) -> tuple[SceneFiles, dict[str, str]]:
     manifest = load_manifest("brnocompspeed")
     name = folder.name
     missing: dict[str, str] = {}
     results = (folder / layout["results"] / name).resolve()
     places = [results / file for file in layout["calibrations"]]
     places += [place for place in sorted(results.glob("system_*.json")) if place not in places]
-    calibration = _choose("calibration", "--calibration", calibration, places, missing)
-    road_mask = _choose("road mask", "--road-mask", road_mask, [folder / layout["road_mask"]], missing)
+    calibration = _choose("calibration", calibration, places, missing)
+    road_mask = _choose("road mask", road_mask, [folder / layout["road_mask"]], missing)
     videos = [folder / video for video in layout["videos"]]
     frames = path if path.is_file() else next((video for video in videos if video.is_file()), None)
     if frames is None and need_frames:
@@ -161,29 +249,25 @@ def _session(
     known = re.match(layout["session"], name) is not None
     rate = manifest["rates"].get(name, manifest["rates"]["default"]) if known else None
     picture = empty_road if empty_road.is_file() else None
-    return Scene(name, frames, calibration, road_mask, picture, name if known else "", rate), missing
+    session, truth = name if known else "", _ground_truth(folder, layout)
+    return SceneFiles(name, frames, calibration, road_mask, picture, session, rate, truth), missing
 
 
-def _choose(what: str, option: str, given: Path | None, places: list[Path], missing: dict[str, str]) -> Path:
+def _choose(what: str, given: Path | None, places: list[Path], missing: dict[str, str]) -> Path:
     if given is not None:
         if not given.is_file():
-            missing[what] = f"no {what} at {option} {given}"
+            missing[what] = f"no {what} at {given}"
         return given
     for place in places:
         if place.is_file():
             return place
     looked = f"looked for {places[0].name} in {places[0].parent}" if places else "none is known"
-    missing[what] = f"no {what} ({looked}; give {option} FILE)"
+    missing[what] = f"no {what} ({looked})"
     return places[0] if places else Path()
 
 
-def _complain(path: Path, missing: dict[str, str]) -> None:
-    if missing:
-        raise DataError(f"{path}: {'; '.join(missing.values())}")
-
-
 def read_mask(path: Path) -> NDArray[np.bool_]:
-    """(H, W) bool road mask from an image file.
+    """Read a road mask (H, W) bool from an image file.
 
     Raises:
         DataError: missing or no image.
@@ -192,3 +276,17 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
         return binary_mask(read_image(path, cv2.IMREAD_UNCHANGED))
     except DataError as err:
         raise DataError(f"road mask {err}") from None
+
+
+def read_lane_lines(files: SceneFiles) -> tuple[Array | None, tuple[str, ...]]:
+    """Read the lines between a session's lanes from its ground truth.
+
+    Returns:
+        (L, 3) homogeneous lines in frame px, or None where there is no ground truth; and what is wrong with it.
+    """
+    if files.ground_truth_path is None:
+        return None, ()
+    try:
+        return read_ground_truth(files.ground_truth_path).lane_lines, ()
+    except DataError as err:
+        return None, (f"lanes are not known: {err}",)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.datasets.scene import Scene
+from labelgen.datasets.scene import SceneFiles
 from labelgen.errors import DataError
 from labelgen.media.image_file import read_image
 from labelgen.media.open_frames import open_frames
@@ -15,7 +15,7 @@ __all__ = ["read_picture"]
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
-def read_picture(scene: Scene, frame: int = 0) -> NDArray[np.uint8]:
+def read_picture(scene: SceneFiles, frame: int = 0) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 BGR: an image file as it is, a session's picture of the empty road, or a frame.
 
     Args:

@@ -14,18 +14,15 @@ from typing import Any
 import numpy as np
 
 from labelgen.choices import Pair, Region, Rule
-from labelgen.datasets.scene import Scene
+from labelgen.datasets.scene import Scene, SceneFiles
 from labelgen.errors import LabelgenError
-from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Rectification
-from labelgen.geometry.road_mask import RoadMask
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.labels import Sample
 from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
-from labelgen.media.frames import Frame, FrameSource
+from labelgen.media.frames import Frame
 from labelgen.media.image_folder import ImageFolder
-from labelgen.media.open_frames import open_frames
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
 
@@ -73,7 +70,7 @@ def _digest(path: Path) -> str | None:
 
 
 def video_job(
-    scenes: Sequence[Scene],
+    scenes: Sequence[SceneFiles],
     pair: Pair,
     size_wh: tuple[int, int],
     settings: MaskSettings,
@@ -103,29 +100,31 @@ def video_job(
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     units: list[VideoUnit] = []
     inputs = {}
-    for number, scene in enumerate(_with_distinct_names(scenes)):
-        assert scene.frames_path is not None
-        prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{scene.name}"
-        unit = VideoUnit(scene, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix)
-        unit.check()
+    for number, files in enumerate(_with_distinct_names(scenes)):
+        prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{files.name}"
+        scene = files.open()
+        size = _taken(scene.frames.frame_count, every, limit)
+        unit = VideoUnit(files, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix, size)
+        unit.rectification(scene)
         if number == 0:
-            unit.prepare()  # the mask source is the same for all
+            unit.mask_source(scene)  # the same for all
         units.append(unit)
-        used = (scene.frames_path, scene.calibration_path, scene.mask_path)
-        inputs[f"{number}: {scene.name}"] = [_fingerprint(path) for path in used]
-    originals = {unit.scene.name: unit.whereabouts() for unit in units}
+        used = (scene.frames.path, files.calibration_path, files.mask_path)
+        inputs[f"{number}: {files.name}"] = [_fingerprint(path) for path in used]
+    originals = {unit.files.name: unit.whereabouts() for unit in units}
     chosen = {"pair": str(pair), "size": f"{size_wh[0]}x{size_wh[1]}", "limit": limit, "per_shard": per_shard, **common}
     return Job("bcs-masks", chosen, inputs, units, originals)
 
 
-def _rate_problem(frames: FrameSource, scene: Scene) -> list[str]:
+def _rate_problem(scene: Scene) -> list[str]:
     """A note where a recording of the data set does not run at the rate that the data set states."""
-    if frames.fps is None or scene.fps is None or abs(frames.fps - scene.fps) <= 0.01 * scene.fps:
+    announced = scene.frames.fps
+    if announced is None or scene.fps is None or abs(announced - scene.fps) <= 0.01 * scene.fps:
         return []
-    return [f"the video runs at {frames.fps:g} frames per second, the data set says {scene.fps:g}; times may be wrong"]
+    return [f"the video runs at {announced:g} frames per second, the data set says {scene.fps:g}; times may be wrong"]
 
 
-def _with_distinct_names(scenes: Sequence[Scene]) -> list[Scene]:
+def _with_distinct_names(scenes: Sequence[SceneFiles]) -> list[SceneFiles]:
     """The scenes, those of the same name numbered; a label's source must say which video it is from."""
     seen: dict[Path, str] = {}
     used: Counter[str] = Counter()
@@ -139,6 +138,14 @@ def _with_distinct_names(scenes: Sequence[Scene]) -> list[Scene]:
         again = used[scene.name]
         named.append(scene if again == 1 else replace(scene, name=f"{scene.name}-{again}"))
     return named
+
+
+def _taken(frame_count: int | None, every: int, limit: int | None) -> int | None:
+    """Return how many frames a video is expected to give, where that is known."""
+    if frame_count is None:
+        return limit
+    taken = -(-frame_count // every)
+    return taken if limit is None else min(taken, limit)
 
 
 def _fingerprint(path: Path) -> str:
@@ -158,7 +165,7 @@ def _fingerprint(path: Path) -> str:
 class VideoUnit:
     """All shards of one video."""
 
-    scene: Scene
+    files: SceneFiles
     pair: Pair
     size_wh: tuple[int, int]
     region: Region
@@ -169,49 +176,33 @@ class VideoUnit:
     codec: ImageCodec
     settings: Mapping[str, Any]
     prefix: str
-
-    @property
-    def size(self) -> int | None:
-        """Frames it will take, as announced by the container."""
-        announced = self._frames().frame_count
-        if announced is None:
-            return self.limit
-        taken = -(-announced // self.every)
-        return taken if self.limit is None else min(taken, self.limit)
+    size: int | None
 
     def whereabouts(self) -> dict[str, str | None]:
-        """Where the originals lie on this machine."""
+        """Return where the originals lie on this machine."""
         kind, _, file = self.masks.masks.partition(":")
         return {
-            "path": str(Path(self.scene.frames_path or "").resolve()),
-            "calibration": str(self.scene.calibration_path.resolve()),
-            "road_mask": str(self.scene.mask_path.resolve()),
+            "path": str(Path(self.files.frames_path or "").resolve()),
+            "calibration": str(self.files.calibration_path.resolve()),
+            "road_mask": str(self.files.mask_path.resolve()),
             "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
             "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
         }
 
-    def _frames(self) -> FrameSource:
-        assert self.scene.frames_path is not None
-        return open_frames(self.scene.frames_path)
+    def rectification(self, scene: Scene) -> Rectification:
+        """Return the rectification of the opened scene; raises what is wrong with camera and road mask."""
+        return Rectification.of_region(self.region, scene.camera, scene.road, self.pair, self.size_wh)
 
-    def check(self) -> tuple[FrameSource, Camera, RoadMask, Rectification]:
-        """Open video, calibration and road mask; raises what is wrong with them."""
-        frames = self._frames()
-        camera, road = self.scene.camera(frames.size_wh), self.scene.road()
-        return frames, camera, road, Rectification.of_region(self.region, camera, road, self.pair, self.size_wh)
-
-    def prepare(self) -> tuple[FrameSource, Camera, RoadMask, Rectification, MaskSource]:
-        """Open everything, the mask source too."""
-        frames, camera, road, rectification = self.check()
-        source = create_mask_source(
+    def mask_source(self, scene: Scene) -> MaskSource:
+        """Open the mask source for the scene; raises what is wrong with it."""
+        return create_mask_source(
             self.masks.masks,
             weights=self.masks.weights,
             score_threshold=self.masks.score,
-            road_mask=road.pixels,
+            road_mask=scene.road.pixels,
             device=self.masks.device,
-            frame_wh=frames.size_wh,
+            frame_wh=scene.frames.size_wh,
         )
-        return frames, camera, road, rectification, source
 
     def _path(self, out: Path, part: int) -> Path:
         return out / f"{self.prefix}-{part:05d}.h5"
@@ -222,7 +213,7 @@ class VideoUnit:
         expected = {
             "pair": str(self.pair),
             "size": f"{self.size_wh[0]}x{self.size_wh[1]}",
-            "source": self.scene.name,
+            "source": self.files.name,
             "settings": json.dumps(dict(self.settings), sort_keys=True),
         }
         while (reader := finished_part(self._path(out, len(readers)), part=len(readers), **expected)) is not None:
@@ -238,8 +229,8 @@ class VideoUnit:
 
     def run(self, out: Path, progress: Progress) -> None:
         """See `Unit`."""
-        frames, camera, road, rectification, source = self.prepare()
-        name = self.scene.name
+        scene = self.files.open()
+        frames, rectification, source = scene.frames, self.rectification(scene), self.mask_source(scene)
         have = len(self._there(out))
         prime_masks(source, frames)
         with ExitStack() as stack:
@@ -253,37 +244,32 @@ class VideoUnit:
                     stack.close()
                     writer = stack.enter_context(self._writer(out, writer.part + 1))
                 if masks is not None:
-                    self._label(frame, masks, frames.size_wh, rectification, camera, road, writer)
+                    self._label(frame, masks, scene, rectification, writer)
                 if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
                     break
             writer.last = True
-            for problem in [*_rate_problem(frames, self.scene), *frames.problems, *source.problems]:
-                writer.reject(Reject(name, -1, -1, "input problem", problem))
+            for problem in [*_rate_problem(scene), *frames.problems, *source.problems]:
+                writer.reject(Reject(self.files.name, -1, -1, "input problem", problem))
 
     def _label(
-        self,
-        frame: Frame,
-        masks: InstanceMasks,
-        frame_wh: tuple[int, int],
-        rectification: Rectification,
-        camera: Camera,
-        road: RoadMask,
-        writer: ShardWriter,
+        self, frame: Frame, masks: InstanceMasks, scene: Scene, rectification: Rectification, writer: ShardWriter
     ) -> None:
-        name = self.scene.name
+        name, road = self.files.name, scene.road.pixels
         if self.region is Region.NONE:
-            labels, rejects = flat_labels(masks, rectification, road.pixels, self.masks.limits)
+            labels, rejects = flat_labels(masks, rectification, road, self.masks.limits)
         else:
-            labels, rejects = label_masks(masks, rectification, camera, road.pixels, self.masks.rule, self.masks.limits)
+            labels, rejects = label_masks(masks, rectification, scene.camera, road, self.masks.rule, self.masks.limits)
         for item, reason, detail in rejects:
             writer.reject(Reject(name, frame.number, item, reason, detail))
         if not len(labels):
             writer.reject(Reject(name, frame.number, -1, "frame without a labelled vehicle"))
             return
         encoded = self.codec.encode(rectification.warp_image(frame.image))
-        window = np.array([0.0, 0.0, *frame_wh])
-        split = self.scene.split_of(frame.number)
-        writer.add(Sample(encoded, labels, rectification, camera, name, frame.number, frame.time_s, split, window))
+        window = np.array([0.0, 0.0, *scene.frames.size_wh])
+        split = self.files.split_of(frame.number)
+        writer.add(
+            Sample(encoded, labels, rectification, scene.camera, name, frame.number, frame.time_s, split, window)
+        )
 
     def _part_of(self, number: int) -> int:
         return number // (self.per_shard * self.every)
@@ -293,4 +279,4 @@ class VideoUnit:
 
     def _writer(self, out: Path, part: int) -> ShardWriter:
         path = self._path(out, part)
-        return ShardWriter(path, self.pair, self.size_wh, source=self.scene.name, part=part, settings=self.settings)
+        return ShardWriter(path, self.pair, self.size_wh, source=self.files.name, part=part, settings=self.settings)
