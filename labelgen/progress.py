@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import signal
 import sys
 import threading
@@ -19,6 +20,8 @@ _LOG_INTERVAL_S = 10.0
 def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Callable[[int], object]]:
     """Show progress on standard error; yields a function that takes the number of units done since its last call.
 
+    Nothing is shown where the logger `labelgen` is set to say no more than warnings.
+
     Args:
         total: units to do; None where that is not known.
         unit: what is counted.
@@ -31,6 +34,7 @@ def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Call
         desc=title or None,
         dynamic_ncols=True,
         smoothing=0.1,
+        disable=logging.getLogger("labelgen").level > logging.INFO,
         delay=0.0 if terminal else _LOG_INTERVAL_S,
         mininterval=0.1 if terminal else _LOG_INTERVAL_S,
     )

@@ -8,13 +8,13 @@ from itertools import takewhile
 from pathlib import Path
 
 from detector.inference import Detector
+from detector.speed.contact_point import MaskExtent
 from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
 from detector.speed.mask_detections import MaskDetections, MaskPlacer
-from detector.speed.measurement import Variant, View
+from detector.speed.measurement import MeasurementView, Variant
 from detector.speed.model_detections import DetectorDetections, model_view
-from detector.speed.near_end import Outline
-from detector.speed.pipeline import Found, detect, with_frames
+from detector.speed.pipeline import FrameDetections, detect, with_frames
 from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rule
@@ -24,7 +24,6 @@ from labelgen.masks.background.source import BackgroundMasks
 from labelgen.masks.gated import ConfirmedMasks
 from labelgen.media.frames import Frame, FrameSource
 from labelgen.media.open_frames import open_frames
-from labelgen.media.stream import VideoStream
 from labelgen.media.timed_frames import TimedFrames
 
 __all__ = ["MaskSpeedSettings", "SpeedJob", "job_from_file", "job_from_masks", "job_from_model"]
@@ -77,13 +76,13 @@ class MaskSpeedSettings:
             )
 
     @property
-    def outline(self) -> Outline | None:
+    def mask_extent(self) -> MaskExtent | None:
         """What the masks' outlines are of; None where measured points are left on them."""
         if not self.correct_contact_point:
             return None
         # The outlines of `sochor` are a background model's, too.
         shaded = self.masks == "background" or self.variant is Variant.SOCHOR
-        return Outline.BODY_AND_SHADE if shaded else Outline.BODY
+        return MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
 
 
 @dataclass(frozen=True)
@@ -103,11 +102,11 @@ class SpeedJob:
     """
 
     name: str
-    view: View
+    view: MeasurementView
     fps: float | None
     frames: FrameSource | None
     source: DetectionSource | None
-    detections: Callable[[], Iterator[Found]]
+    detections: Callable[[], Iterator[FrameDetections]]
     frame_count: int | None
     lane_lines: Array | None = None
     notes: tuple[str, ...] = ()
@@ -121,7 +120,7 @@ class SpeedJob:
     @property
     def failure(self) -> Exception | None:
         """Why a stream broke off, if it did."""
-        return getattr(self.frames, "failure", None)
+        return self.frames.failure if self.frames is not None else None
 
 
 def job_from_masks(scene: Scene, settings: MaskSpeedSettings, *, duration_s: float | None = None) -> SpeedJob:
@@ -138,7 +137,9 @@ def job_from_masks(scene: Scene, settings: MaskSpeedSettings, *, duration_s: flo
         RectificationError: the scene admits no such rectification.
     """
     frames, road = scene.frames, scene.road
-    view = View.create(settings.variant, scene.camera, road, settings.pair, settings.size_wh, outline=settings.outline)
+    view = MeasurementView.create(
+        settings.variant, scene.camera, road, settings.pair, settings.size_wh, mask_extent=settings.mask_extent
+    )
     masks: MaskSource = create_mask_source(
         settings.masks,
         weights=settings.weights,
@@ -152,8 +153,8 @@ def job_from_masks(scene: Scene, settings: MaskSpeedSettings, *, duration_s: flo
     source = MaskDetections(masks, MaskPlacer(view, road, settings.pair, settings.rule))
     timed = _timed(scene, masks, duration_s)
 
-    def detections() -> Iterator[Found]:
-        if not isinstance(frames, VideoStream):
+    def detections() -> Iterator[FrameDetections]:
+        if not frames.is_live:
             prime_masks(masks, frames)
         return detect(source, timed)
 
@@ -206,7 +207,7 @@ def job_from_file(
     frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if pictures and scene.frames_path else None
     lane_lines, notes = read_lane_lines(scene)
 
-    def detections() -> Iterator[Found]:
+    def detections() -> Iterator[FrameDetections]:
         lines = file.frames(view)
         kept = lines if duration_s is None else takewhile(lambda line: not line.time_s >= duration_s, lines)
         return with_frames(kept, frames)
@@ -215,7 +216,11 @@ def job_from_file(
 
 
 def _job(
-    scene: Scene, view: View, timed: TimedFrames, source: DetectionSource, detections: Callable[[], Iterator[Found]]
+    scene: Scene,
+    view: MeasurementView,
+    timed: TimedFrames,
+    source: DetectionSource,
+    detections: Callable[[], Iterator[FrameDetections]],
 ) -> SpeedJob:
     return SpeedJob(
         scene.name, view, timed.fps, scene.frames, source, detections, timed.frame_count, scene.lane_lines, scene.notes
@@ -225,7 +230,7 @@ def _job(
 def _timed(scene: Scene, masks: MaskSource, duration_s: float | None) -> TimedFrames:
     """Return the frames to measure. Of a stream, the mask source may learn from the first seconds."""
     frames, fps = scene.frames, scene.frames.fps or scene.fps
-    if not (isinstance(frames, VideoStream) and masks.prime_frames):
+    if not (frames.is_live and masks.prime_frames):
         return TimedFrames(frames, fps=fps, duration_s=duration_s)
     warm_up = _WARM_UP_S if duration_s is None else min(_WARM_UP_S, _WARM_UP_SHARE * duration_s)
 

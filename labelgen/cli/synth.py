@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labelgen.cli.options import JsonOption, OverwriteOption
+from labelgen.cli.options import Heading, JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
+from labelgen.synth.shading.lighting import Weather
 
 __all__ = ["synth_app"]
 
@@ -28,7 +29,6 @@ def boxcars(
     json_file: JsonOption = None,
 ) -> None:
     """Write a BoxCars116k tree: crops of vehicles with 3D boxes, seen by several cameras."""
-    from labelgen.cli.options import print_table, write_json_report
     from labelgen.synth.truth.boxcars116k import write_boxcars_tree
 
     summary = write_boxcars_tree(out, vehicles, seed, overwrite=overwrite, progress=True)
@@ -70,8 +70,8 @@ def session(
         ),
     ] = None,
     heading: Annotated[
-        str | None,
-        typer.Option("--heading", metavar="WAY", help="away or closer; by default as the video shows, or at random."),
+        Heading | None,
+        typer.Option("--heading", case_sensitive=False, help="By default as the video shows, or at random."),
     ] = None,
     sun: Annotated[
         str | None,
@@ -88,7 +88,9 @@ def session(
             "--start", metavar="S", help="With --replay: where to begin; before the first crossing by default."
         ),
     ] = None,
-    weather: Annotated[str | None, typer.Option("--weather", help="day, overcast, dusk or rain.")] = None,
+    weather: Annotated[
+        Weather | None, typer.Option("--weather", case_sensitive=False, help="Kind of light; at random by default.")
+    ] = None,
     traffic: Annotated[float, typer.Option("--traffic", min=0.1, help="Vehicles per lane and minute.")] = 18.0,
     bodies: Annotated[
         str | None, typer.Option("--bodies", metavar="NAME,...", help="Body types to use; all by default.")
@@ -111,11 +113,10 @@ def session(
     """
     from dataclasses import asdict
 
-    from labelgen.cli.options import note, print_table, write_json_report
-    from labelgen.geometry import parse_size
-    from labelgen.synth.shading.lighting import Weather
+    from labelgen.geometry.vanishing_pair import parse_size
     from labelgen.synth.truth.session import write_session
 
+    check_report_path(json_file)
     summary = write_session(
         out,
         duration_s=duration,
@@ -123,7 +124,7 @@ def session(
         size_wh=parse_size(size),
         seed=seed,
         name=name,
-        weather=None if weather is None else Weather.parse(weather),
+        weather=weather,
         per_minute=traffic,
         kinds=None if bodies is None else [b.strip() for b in bodies.split(",")],
         plates=plates,
@@ -132,9 +133,8 @@ def session(
         start_s=start,
         calibration=calibration,
         road_mask=road_mask,
-        heading=_way(heading),
+        heading=None if heading is None else 1 if heading is Heading.AWAY else -1,
         sun=_sun(sun),
-        say=note,
         video=video,
         overwrite=overwrite,
         progress=True,
@@ -148,15 +148,6 @@ def session(
     write_json_report(json_file, report)
     if not summary.complete:
         raise typer.Exit(130)
-
-
-def _way(text: str | None) -> int | None:
-    from labelgen.errors import LabelgenError
-
-    ways = {None: None, "away": 1, "closer": -1}
-    if text not in ways:
-        raise LabelgenError(f"--heading {text}: unknown; use away or closer")
-    return ways[text]
 
 
 def _sun(text: str | None) -> tuple[float, float] | None:

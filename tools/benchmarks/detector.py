@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torchvision.models.detection import RetinaNet
 
-from detector.inference import load_detector
+from detector.inference import Detector
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import detect
@@ -29,7 +29,6 @@ from detector.tracking.iou_tracker import IouTracker
 from detector.training.config import find_preset
 from labelgen.datasets.scene import find_scene
 from labelgen.geometry import parse_size
-from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
 
 __all__ = ["benchmark_branch", "benchmark_stages", "plain_retinanet", "synchronised_s"]
@@ -92,11 +91,10 @@ def benchmark_stages(
 
     Processor time per frame beside it says what the machine would do with nothing else running on it.
     """
-    detector = load_detector(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
-    scene = find_scene(source)
-    assert scene.frames_path is not None
-    video = open_frames(scene.frames_path)
-    view = model_view(detector.metadata, scene.camera(video.size_wh), scene.road())
+    detector = Detector.load(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
+    scene = find_scene(source).open()
+    video = scene.frames
+    view = model_view(detector.card, scene.camera, scene.road)
     assert view.rectification is not None
     model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification, view.camera)
 
@@ -113,7 +111,7 @@ def benchmark_stages(
     rectify = (synchronised_s(detector.device) - begin) / len(pictures)
     begin = synchronised_s(detector.device)
     for picture in inputs:
-        detector.detect([picture])
+        detector([picture])
     network = (synchronised_s(detector.device) - begin) / len(pictures)
 
     tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
@@ -128,7 +126,7 @@ def benchmark_stages(
     seconds, busy = time.perf_counter() - begin, time.process_time() - busy
     result = {
         "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
-        "size_wh": list(detector.metadata.size_wh),
+        "size_wh": list(detector.card.size_wh),
         "device": str(detector.device), "half": detector.half, "threads": torch.get_num_threads(),
         "fps": count / seconds,
         "cpu_ms_per_frame": 1000 * busy / count,

@@ -28,7 +28,7 @@ import numpy as np
 
 from labelgen.datasets.boxcars116k import BoxCars
 from labelgen.datasets.manifest import load_manifest
-from labelgen.datasets.scene import find_scene
+from labelgen.datasets.scene import Scene, find_scene
 from labelgen.geometry import Camera, Pair, road_cuboids
 from labelgen.jobs.boxcars import boxcars_job
 from labelgen.jobs.video import MaskSettings, VideoUnit, video_job
@@ -166,8 +166,8 @@ class _ReadySource:
 class _ReadyUnit(VideoUnit):
     ready: _ReadySource | None = None
 
-    def prepare(self) -> Any:
-        return (*self.check(), self.ready)
+    def mask_source(self, scene: Scene) -> Any:
+        return self.ready
 
 
 def _run_all(job: Any, out: Path) -> None:
@@ -203,7 +203,7 @@ def main() -> None:
         masks = video_job([find_scene(video)], Pair.VP2_VP3, (640, 360), settings, every=25)
         unit = masks.units[0]
         assert isinstance(unit, VideoUnit)
-        ready = _ReadySource(unit.prepare()[-1], range(0, 25 * options.frames, 25))
+        ready = _ReadySource(unit.mask_source(unit.files.open()), range(0, 25 * options.frames, 25))
         masks = replace(masks, units=[_ReadyUnit(**{f.name: getattr(unit, f.name) for f in fields(unit)}, ready=ready)])
         mine, bare, ratio = compare(
             lambda: _run_all(masks, root / "out-masks"), lambda: _bare_video(video, 25), options.rounds

@@ -31,7 +31,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from detector.checkpoint import ModelMetadata, load_model
+from detector.checkpoint import Card, load_detector
 from detector.inference import Detector
 from detector.model.retinanet import CcRetinaNet
 from detector.speed.model_detections import DetectorDetections, model_view
@@ -41,7 +41,6 @@ from detector.training.config import PRESETS
 from labelgen.datasets.scene import Scene, find_scene
 from labelgen.geometry import parse_size
 from labelgen.media.frames import Frame, FrameSource
-from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
 from tools.benchmarks.detector import plain_retinanet, synchronised_s
 
@@ -66,19 +65,17 @@ class _WithoutCc(nn.Module):
         return found
 
 
-def _ways(
-    model: CcRetinaNet, metadata: ModelMetadata, device: str | None, compiled: bool
-) -> dict[str, Callable[[], Detector]]:
+def _ways(model: CcRetinaNet, card: Card, device: str | None, compiled: bool) -> dict[str, Callable[[], Detector]]:
     """Makers of detectors, so that only one is in the device's memory at a time."""
 
     def plain(half: bool) -> Detector:
         network: Any = _WithoutCc(deepcopy(model), half)
-        detector = Detector(network, metadata, device=device, half=False, fold=False)
-        detector.model.to(memory_format=torch.contiguous_format)
+        detector = Detector(network, card, device=device, half=False, fold=False)
+        detector.model.retinanet.to(memory_format=torch.contiguous_format)
         return detector
 
     def ours(half: bool, compiled: bool = False) -> Detector:
-        return Detector(deepcopy(model), metadata, device=device, half=half, compiled=compiled)
+        return Detector(deepcopy(model), card, device=device, half=half, compiled=compiled)
 
     ways: dict[str, Callable[[], Detector]] = {
         "torchvision": lambda: plain(False),
@@ -101,15 +98,15 @@ def _end_to_end(model: DetectorDetections, video: FrameSource, frames: int) -> t
     return count / (time.perf_counter() - begin), vehicles
 
 
-def _measure(detector: Detector, scene: Scene, video: FrameSource, first: list[Frame], frames: int, rounds: int) -> Any:
-    view = model_view(detector.metadata, scene.camera(video.size_wh), scene.road())
+def _measure(detector: Detector, scene: Scene, first: list[Frame], frames: int, rounds: int) -> Any:
+    view = model_view(detector.card, scene.camera, scene.road)
     assert view.rectification is not None
     model = DetectorDetections(detector, view)
     to_input = detector.rectifier(view.rectification, view.camera)
     batch = [to_input(frame.image) for frame in first[: detector.batch_size]]
     place = detector.device
     for _ in range(3):
-        detector.detect(batch)
+        detector(batch)
     if place.type == "cuda":
         torch.cuda.reset_peak_memory_stats(place)
     network, fps, vehicles = [], [], 0
@@ -117,9 +114,9 @@ def _measure(detector: Detector, scene: Scene, video: FrameSource, first: list[F
     for _ in range(rounds):
         begin = synchronised_s(place)
         for _ in range(times):
-            detector.detect(batch)
+            detector(batch)
         network.append((synchronised_s(place) - begin) / (times * len(batch)))
-        rate, vehicles = _end_to_end(model, video, frames)
+        rate, vehicles = _end_to_end(model, scene.frames, frames)
         fps.append(rate)
     row = {
         "fps": statistics.median(fps), "fps_rounds": fps, "detect_ms": 1000 * statistics.median(network),
@@ -147,10 +144,9 @@ def benchmark_sizes(
         compiled: also measure the compiled way, which takes half a minute more per size.
         say: is told each row.
     """
-    model, stored = load_model(checkpoint, score_thresh=_SCORE)
-    scene = find_scene(source)
-    assert scene.frames_path is not None
-    video = open_frames(scene.frames_path)
+    model, stored = load_detector(checkpoint, score_thresh=_SCORE)
+    scene = find_scene(source).open()
+    video = scene.frames
     begin = time.perf_counter()
     count = sum(1 for _ in itertools.islice(TimedFrames(video, fps=video.fps).frames(), frames))
     first = list(itertools.islice(video.frames(), 8))
@@ -164,10 +160,10 @@ def benchmark_sizes(
     names = list(_ways(model, stored, device, compiled))
     for name in sorted(names, key=lambda key: key.endswith("compiled")):
         for size_wh in sizes:
-            metadata = replace(stored, pair=pairs[size_wh], size_wh=size_wh)
-            detector = _ways(model, metadata, device, compiled)[name]()
+            card = replace(stored, pair=pairs[size_wh], size_wh=size_wh)
+            detector = _ways(model, card, device, compiled)[name]()
             result.setdefault("device", str(detector.device))
-            row = _measure(detector, scene, video, first, frames, rounds)
+            row = _measure(detector, scene, first, frames, rounds)
             result["sizes"].setdefault(_text(size_wh), {})[name] = row
             memory = f"{row['peak_mib']:7.0f} MiB" if "peak_mib" in row else ""
             figures = f"{row['fps']:7.1f} fps  detect {row['detect_ms']:7.2f} ms {memory}"

@@ -144,7 +144,7 @@ def videos_table(
         name = session.resolve().name
         results = session.resolve().parent.parent / "results" / name
         frames = open_frames(session / "video.avi")
-        done = calibrate_with_scale(frames, ["auto-models"], need_scale=False, say=typer.echo, duration_s=duration)
+        done = calibrate_with_scale(frames, ["auto-models"], need_scale=False, duration_s=duration)
         true = Camera.load(results / _BEST)
         row = compare_video(done, true, read_ground_truth(session / "gt_data.pkl"))
         rows[name] = row

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from labelgen.calibration.complete_scene import complete_scene
 from labelgen.calibration.observation.collect import observe
+from labelgen.datasets.scene import find_scene
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.media.open_frames import open_frames
@@ -63,8 +63,7 @@ class OwnCamera:
 
 def load_own_camera(
     video: Path,
-    folder_of: Callable[[str], Path],
-    say: Callable[[str], object],
+    folder: Path,
     rng: np.random.Generator,
     *,
     calibration: Path | None = None,
@@ -78,8 +77,7 @@ def load_own_camera(
 
     Args:
         video: of a fixed camera above a straight road, or a folder of images.
-        folder_of: from the video's name to the folder where a calibration and a road mask made on the way are kept.
-        say: is told, in a line, what was made.
+        folder: where a calibration and a road mask made on the way are kept, below it by the video's name.
         rng: decides on what the video does not tell.
         calibration, road_mask: use these rather than NAME.calibration.json and NAME.mask.png beside the video.
         heading: +1 traffic drives away, -1 it comes closer; as seen in the video when None.
@@ -92,7 +90,8 @@ def load_own_camera(
         DataError: the video, its calibration or its road mask is missing, damaged or of another size.
         CalibrationError: there is none, and the video cannot carry one.
     """
-    parts = complete_scene(video, folder_of, say, calibration=calibration, road_mask_file=road_mask)
+    files = find_scene(video, calibration=calibration, road_mask=road_mask, may_lack=True)
+    parts = complete_scene(files, folder / files.name)
     footage = read_footage(video)
     height, width = footage.empty.shape[:2]
     camera = parts.camera((width, height))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,6 @@ def write_session(
     calibration: Path | None = None,
     road_mask: Path | None = None,
     sun: tuple[float, float] | None = None,
-    say: Callable[[str], object] = print,
     video: bool = True,
     overwrite: bool = False,
     progress: bool = False,
@@ -104,7 +103,6 @@ def write_session(
         calibration, road_mask: of the video that `scene` names; looked for beside it, or made from it, when None.
         sun: with such a video, degrees: the sun's height and how far right of straight ahead it stands; by the shadows
             of its vehicles when None.
-        say: is told, in a line, what was made of such a video.
         video: whether to render; without, only boxes and tracks are written.
         overwrite: whether an existing session may be replaced.
         progress: show a bar.
@@ -126,7 +124,7 @@ def write_session(
         if replay:
             raise OutputError(f"--replay: {scene} has no recorded traffic (gt_data.pkl) to re-enact; leave it out")
         setting = _own(
-            scene, weather, seed, out, say, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
+            scene, weather, seed, out, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
             plates=plates,
         )  # fmt: skip
     fps = fps or setting.fps
@@ -187,14 +185,12 @@ def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
     return _Setting(scene, light, None, PLAIN, surveyed)
 
 
-def _own(
-    video: Path, weather: Weather | None, seed: int, out: Path, say: Callable[[str], object], **given: Any
-) -> _Setting:
+def _own(video: Path, weather: Weather | None, seed: int, out: Path, **given: Any) -> _Setting:
     """The place that somebody's own video shows. `given`: see `load_own_camera`."""
     from labelgen.synth.fitting.own_camera import load_own_camera
 
     rng = np.random.default_rng([seed, 1])
-    own = load_own_camera(video, lambda name: out / "camera" / name, say, rng, weather=weather, **given)
+    own = load_own_camera(video, out / "camera", rng, weather=weather, **given)
     return _Setting(own.scene, own.light, None, own.sensor, None, own.fps, own.measured)
 
 

@@ -112,7 +112,7 @@ def test_its_masks_lie_in_their_boxes(session: Path) -> None:
 
 
 def test_the_same_seed_gives_the_same_frames(made: Path, session: Path, tmp_path: Path) -> None:
-    write_session(tmp_path, scene=made / f"{NAME}.avi", duration_s=1, seed=1, plates="blue", say=str)
+    write_session(tmp_path, scene=made / f"{NAME}.avi", duration_s=1, seed=1, plates="blue")
     ours, theirs = (frames_of(p / "dataset" / NAME / "video.avi") for p in (tmp_path, session))
     assert all((a == b).all() for a, b in zip(ours[:8], theirs[:8], strict=True))
 
@@ -143,7 +143,7 @@ def test_what_cannot_be_is_one_line(
 def test_a_mask_of_another_size_is_told(made: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "small.png"), np.full((90, 160), 255, np.uint8))
     with pytest.raises(DataError, match="160x90, but the video has 640x360"):
-        write_session(tmp_path, scene=made / f"{NAME}.avi", road_mask=tmp_path / "small.png", say=str)
+        write_session(tmp_path, scene=made / f"{NAME}.avi", road_mask=tmp_path / "small.png")
 
 
 def test_a_video_too_short_to_show_the_road_is_told(tmp_path: Path) -> None:
