@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from labelgen.choices import Pair, Region, Rule
 from labelgen.cli.options import (
     CalibrationOption,
     JsonOption,
@@ -21,8 +22,6 @@ from labelgen.cli.options import (
     rectified_size,
     show_summary,
 )
-from labelgen.geometry.outline_label import Rule
-from labelgen.geometry.vanishing_pair import Pair, Region
 
 __all__ = ["bcs_masks"]
 
@@ -81,7 +80,6 @@ def bcs_masks(
     interrupted run goes on where it stopped when the same command is given again.
     """
     from labelgen.calibration.complete_scene import complete_scene
-    from labelgen.choices import Pair, Region, Rule, parse_size
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene
     from labelgen.errors import LabelgenError

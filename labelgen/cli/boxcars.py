@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from labelgen.choices import Pair
 from labelgen.cli.options import (
     JsonOption,
     OverwriteOption,
@@ -17,7 +18,6 @@ from labelgen.cli.options import (
     rectified_size,
     show_summary,
 )
-from labelgen.geometry.vanishing_pair import Pair
 
 __all__ = ["boxcars"]
 
@@ -57,7 +57,6 @@ def boxcars(
     Every crop becomes a label or is listed with the reason in rejects.jsonl. An interrupted run goes on where it
     stopped when the same command is given again.
     """
-    from labelgen.choices import Pair, parse_size
     from labelgen.datasets.boxcars116k import BoxCars
     from labelgen.datasets.manifest import find_root, load_manifest
     from labelgen.jobs.boxcars import boxcars_job

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.atomic_files import write_json
+from labelgen.choices import Pair, Rule, parse_size
 from labelgen.errors import OutputError
-from labelgen.geometry.outline_label import Rule
-from labelgen.geometry.vanishing_pair import Pair, parse_size
 
 if TYPE_CHECKING:
     from labelgen.shards.index import DatasetSummary

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from labelgen.choices import Pair
 from labelgen.cli.options import (
     CalibrationOption,
     Cover,
@@ -22,7 +23,6 @@ from labelgen.cli.options import (
     rectified_size,
     write_json_report,
 )
-from labelgen.geometry.vanishing_pair import Pair
 
 __all__ = ["rectify"]
 
@@ -50,7 +50,6 @@ def rectify(
     import cv2
 
     from labelgen.atomic_files import make_folder, write_atomic
-    from labelgen.choices import Pair, parse_size
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene
     from labelgen.datasets.scene_picture import read_picture

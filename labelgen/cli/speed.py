@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from detector.speed.measurement import Variant
+from labelgen.choices import Pair, Rule
 from labelgen.cli.options import (
     CalibrationOption,
     ContactPoint,
@@ -24,8 +25,6 @@ from labelgen.cli.options import (
     write_json_report,
 )
 from labelgen.errors import LabelgenError
-from labelgen.geometry.outline_label import Rule
-from labelgen.geometry.vanishing_pair import Pair
 from labelgen.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -199,7 +198,7 @@ def _model_job(
 ) -> SpeedJob:  # fmt: skip
     from detector.inference import Detector
     from detector.speed.job import job_from_model
-    from labelgen.geometry.vanishing_pair import parse_size
+    from labelgen.choices import parse_size
 
     detector = Detector.load(checkpoint, score=score, device=device)
     own = detector.card

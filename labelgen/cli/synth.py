@@ -113,7 +113,7 @@ def session(
     """
     from dataclasses import asdict
 
-    from labelgen.geometry.vanishing_pair import parse_size
+    from labelgen.choices import parse_size
     from labelgen.synth.truth.session import write_session
 
     check_report_path(json_file)
