@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
@@ -11,6 +13,8 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +27,29 @@ def real_data() -> Path:
 
 
 @pytest.fixture
-def labelgen(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def labelgen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Run the `labelgen` command in this process, in the test's folder."""
+    from labelgen.cli.main import main
+
+    def run(*arguments: object, **env: str) -> subprocess.CompletedProcess[str]:
+        words = [str(argument) for argument in arguments]
+        out, err = io.StringIO(), io.StringIO()
+        code: int | str | None = 0
+        with monkeypatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            patch.chdir(tmp_path)
+            for name, value in env.items():
+                patch.setenv(name, value)
+            try:
+                main(words)
+            except SystemExit as end:
+                code = end.code
+        return subprocess.CompletedProcess(words, int(code or 0), out.getvalue(), err.getvalue())
+
+    return run
+
+
+@pytest.fixture
+def labelgen_process(tmp_path: Path) -> Command:
     """Run the `labelgen` command in a process of its own, in the test's folder."""
 
     def run(*arguments: object, timeout: float = 200, **env: str) -> subprocess.CompletedProcess[str]:

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from labelgen.labels import Labels, Sample
     from labelgen.shards import ShardSet
 
-__all__ = ["detector_test"]
+__all__ = ["evaluate_detector"]
 
 
-def detector_test(
+def evaluate_detector(
     checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="Written by labelgen train.")],
     shards: Annotated[list[Path], typer.Argument(metavar="SHARDS...", help="Shards or folders of them.")],
     score: Annotated[

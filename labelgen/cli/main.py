@@ -81,7 +81,7 @@ class _OptionError(LabelgenError):
         if options and err.parameters and text.startswith(err.parameters[0]):
             text = options[0] + text.removeprefix(err.parameters[0])
         elif options and not any(option in text for option in options):
-            text += f" ({', '.join(options)})"
+            text += f" (option{'s' if len(options) > 1 else ''} {', '.join(options)})"
         super().__init__(text)
 
 
@@ -165,7 +165,8 @@ def _run(arguments: list[str]) -> int:
             raise
         context = getattr(err, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
-        _fail(f"{' '.join(message().split()).rstrip('.')}{hint}")
+        text = " ".join(message().split()).replace("Value error, ", "")
+        _fail(f"{text.rstrip('.')}{hint}")
     return code if isinstance(code, int) else 0
 
 

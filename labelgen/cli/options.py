@@ -64,7 +64,13 @@ class Heading(StrEnum):
 
 
 PairOption = Annotated[
-    Pair, typer.Option("--pair", case_sensitive=False, help="Vanishing points whose directions become axis-parallel.")
+    Pair,
+    typer.Option(
+        "--pair",
+        case_sensitive=False,
+        metavar="VP2-VP3|VP1-VP2",
+        help="Vanishing points whose directions become axis-parallel.",
+    ),
 ]
 RuleOption = Annotated[
     Rule, typer.Option("--rule", case_sensitive=False, help="How the two candidates of c_c become one.")

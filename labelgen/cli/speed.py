@@ -59,7 +59,13 @@ def speed(
         typer.Option("--variant", case_sensitive=False, help="How points are measured; transform3d by default."),
     ] = None,
     pair: Annotated[
-        Pair | None, typer.Option("--pair", case_sensitive=False, help="VP2-VP3 by default, or as the model needs it.")
+        Pair | None,
+        typer.Option(
+            "--pair",
+            case_sensitive=False,
+            metavar="VP2-VP3|VP1-VP2",
+            help="VP2-VP3 by default, or as the model needs it.",
+        ),
     ] = None,
     size: SceneSizeOption = None,
     rule: RuleOption = Rule.WIDER,

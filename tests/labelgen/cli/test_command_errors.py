@@ -148,7 +148,7 @@ def test_what_was_given_and_is_not_there_is_named(labelgen, clip: Path, tmp_path
     bare.write_bytes(clip.read_bytes())
     _refused(
         labelgen("bcs-masks", bare, "--calibration", "c.json", "--road-mask", "m.png", "--masks", "background"),
-        "bare.mp4", "no calibration at --calibration c.json", "no road mask at --road-mask m.png",
+        "bare.mp4", "no calibration at c.json; no road mask at m.png (options --calibration, --road-mask)",
     )  # fmt: skip
 
 
@@ -165,7 +165,7 @@ def test_files_that_are_no_video(labelgen, clip: Path, tmp_path: Path, content: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("boxcars", "--pair", "VP1-VP3"), "unknown pair; use one of VP2-VP3, VP1-VP2"),
+        (("boxcars", "--pair", "VP1-VP3"), "'VP1-VP3' is not one of"),
         (("boxcars", "--size", "320"), "unknown size; write WIDTHxHEIGHT"),
         (("boxcars", "--size", "0x0"), "unknown size"),
         (("boxcars", "--cameras", "nobody"), "--cameras nobody: not in the data set; it has alpha, beta, uvoz"),
@@ -185,8 +185,8 @@ def test_options_of_boxcars(labelgen, tree: Path, tmp_path: Path, arguments, mes
     [
         (("--masks", "magic"), "use one of maskrcnn, background, coco:FILE"),
         (("--masks", "coco:none.json"), "none.json"),
-        (("--masks", "background", "--rule", "best"), "unknown rule; use one of wider, conditioned"),
-        (("--masks", "background", "--pair", "VP1"), "unknown pair"),
+        (("--masks", "background", "--rule", "best"), "'best' is not one of 'wider', 'conditioned'"),
+        (("--masks", "background", "--pair", "VP1"), "'VP1' is not one of"),
         (("--masks", "background", "--size", "big"), "unknown size"),
         (("--masks", "maskrcnn", "--weights", "none.pth"), "none.pth"),
     ],

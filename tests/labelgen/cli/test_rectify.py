@@ -57,7 +57,7 @@ def test_it_does_not_overwrite_unasked(labelgen, scene: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--cover", "sky"), "--cover sky: unknown; use frame or mask"),
+        (("--cover", "sky"), "'sky' is not one of 'frame', 'mask'"),
         (("--frame", "999"), "it has no frame 999"),
         (("--out", "p.gif"), "name a .png or .jpg file"),
     ],

@@ -295,11 +295,11 @@ WRONG = [
     ([], ("--from", "masks:magic"), "unknown mask source"),
     ([], ("--from", "masks:coco:nowhere.json"), "no such file"),
     ([], ("--from", "detections:nowhere.jsonl"), "detections nowhere.jsonl"),
-    ([], ("--variant", "4d"), "unknown variant"),
-    ([], ("--pair", "VP1-VP3"), "unknown pair"),
+    ([], ("--variant", "4d"), "'4d' is not one of"),
+    ([], ("--pair", "VP1-VP3"), "'VP1-VP3' is not one of"),
     ([], ("--size", "large"), "unknown size"),
-    ([], ("--rule", "none"), "unknown rule"),
-    ([], ("--calibration", "nowhere.json"), "no calibration at --calibration nowhere.json"),
+    ([], ("--rule", "none"), "'none' is not one of"),
+    ([], ("--calibration", "nowhere.json"), "no calibration at nowhere.json (option --calibration)"),
     (["road.calibration.json"], (), "give more video"),
     (["road.mp4"], (), "no such file or folder"),
 ]
@@ -401,7 +401,10 @@ def test_a_stream_that_changes_its_resolution(
 
 def test_a_stream_needs_to_be_told_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("rtsp://127.0.0.1:1/live", "--out", tmp_path / "out") == 2
-    assert "a stream needs --calibration FILE and --road-mask FILE" in capsys.readouterr().err
+    assert (
+        "a stream needs a calibration and a road mask of its own (options --calibration, --road-mask)"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.slow
