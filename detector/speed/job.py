@@ -176,7 +176,7 @@ def job_from_model(
         LabelgenError: the variant does not go with the detector.
         RectificationError: the scene admits no rectification as the detector needs it.
     """
-    source = DetectorDetections(detector, model_view(detector.card, scene.camera, scene.road, variant))
+    source = DetectorDetections(detector, model_view(detector.metadata, scene.camera, scene.road, variant))
     timed = TimedFrames(scene.frames, fps=scene.frames.fps or scene.fps, duration_s=duration_s)
     return _job(scene, source.view, timed, source, lambda: detect(source, timed))
 

@@ -46,11 +46,11 @@ def detect(
     For videos and images the file is one that `labelgen speed --from detections:FILE` reads. For shards each line names
     the sample it belongs to.
     """
-    from detector.inference import Detector
+    from detector.inference import load_detector
     from labelgen.atomic_files import make_folder
     from labelgen.errors import OutputError
 
-    detector = Detector.load(checkpoint, score=score, device=device)
+    detector = load_detector(checkpoint, score=score, device=device)
     target = out / "detections.jsonl"
     if target.exists() and not overwrite:
         raise OutputError(f"{target}: it exists already; use --overwrite or another --out")
@@ -103,7 +103,7 @@ def _of_frames(
     from labelgen.datasets.scene import find_scene
 
     scene = find_scene(source, calibration=calibration, road_mask=road_mask).open()
-    view = model_view(detector.card, scene.camera, scene.road)
+    view = model_view(detector.metadata, scene.camera, scene.road)
     model = DetectorDetections(detector, view)
     yield detections_head(view, scene.frames.fps or scene.fps), 0, None
     coming = islice(scene.frames.frames(lambda number: number % every == 0), limit)
@@ -114,19 +114,19 @@ def _of_frames(
 
 def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:
     from detector.data.dataset import open_sources
-    from detector.visualize import draw_found
+    from detector.visualize import draw_sample
     from labelgen.shards import ShardSet
 
-    open_sources([source], detector.card.pair, detector.card.size_wh)
+    open_sources([source], detector.metadata.pair, detector.metadata.size_wh)
     samples = ShardSet([source])
     head = {"format": "labelgen-shard-detections", "version": 1, "shards": str(source)}
     yield json.dumps(head) + "\n", 0, None
     for index in range(min(len(samples), limit or len(samples))):
         sample = samples[index]
-        (found,) = detector([detector.picture(sample)])
+        (labels,) = detector.detect([detector.input_of_sample(sample)])
         line = {
             "sample": index, "source": sample.source, "frame": sample.frame,
-            "boxes": found.boxes_xyxy.round(3).tolist(),
-            "cc": found.cc.round(5).tolist(), "scores": found.scores.round(4).tolist(),
+            "boxes": labels.boxes_xyxy.round(3).tolist(),
+            "cc": labels.cc.round(5).tolist(), "scores": labels.scores.astype(float).round(4).tolist(),
         }  # fmt: skip
-        yield json.dumps(line) + "\n", len(found), lambda sample=sample, found=found: draw_found(sample, found)
+        yield json.dumps(line) + "\n", len(labels), lambda sample=sample, labels=labels: draw_sample(sample, labels)

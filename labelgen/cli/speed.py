@@ -202,12 +202,12 @@ def _model_job(
     inputs: _Inputs, checkpoint: Path, variant: Variant | None, pair: Pair | None, size: str | None, score: float,
     device: str | None,
 ) -> SpeedJob:  # fmt: skip
-    from detector.inference import Detector
+    from detector.inference import load_detector
     from detector.speed.job import job_from_model
     from labelgen.choices import parse_size
 
-    detector = Detector.load(checkpoint, score=score, device=device)
-    own = detector.card
+    detector = load_detector(checkpoint, score=score, device=device)
+    own = detector.metadata
     if (pair or own.pair) != own.pair or (size and parse_size(size) != own.size_wh):
         raise LabelgenError(
             f"{checkpoint}: this detector sees {own.pair} pictures of {own.size_wh[0]}x{own.size_wh[1]}; leave out "

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torchvision.models.detection import RetinaNet
 
-from detector.inference import Detector
+from detector.inference import load_detector
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import detect
@@ -91,10 +91,10 @@ def benchmark_stages(
 
     Processor time per frame beside it says what the machine would do with nothing else running on it.
     """
-    detector = Detector.load(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
+    detector = load_detector(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
     scene = find_scene(source).open()
     video = scene.frames
-    view = model_view(detector.card, scene.camera, scene.road)
+    view = model_view(detector.metadata, scene.camera, scene.road)
     assert view.rectification is not None
     model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification, view.camera)
 
@@ -111,7 +111,7 @@ def benchmark_stages(
     rectify = (synchronised_s(detector.device) - begin) / len(pictures)
     begin = synchronised_s(detector.device)
     for picture in inputs:
-        detector([picture])
+        detector.detect([picture])
     network = (synchronised_s(detector.device) - begin) / len(pictures)
 
     tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
@@ -126,7 +126,7 @@ def benchmark_stages(
     seconds, busy = time.perf_counter() - begin, time.process_time() - busy
     result = {
         "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
-        "size_wh": list(detector.card.size_wh),
+        "size_wh": list(detector.metadata.size_wh),
         "device": str(detector.device), "half": detector.half, "threads": torch.get_num_threads(),
         "fps": count / seconds,
         "cpu_ms_per_frame": 1000 * busy / count,

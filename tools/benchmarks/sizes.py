@@ -31,7 +31,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from detector.checkpoint import Card, load_detector
+from detector.checkpoint import ModelMetadata, load_model
 from detector.inference import Detector
 from detector.model.retinanet import CcRetinaNet
 from detector.speed.model_detections import DetectorDetections, model_view
@@ -65,17 +65,19 @@ class _WithoutCc(nn.Module):
         return found
 
 
-def _ways(model: CcRetinaNet, card: Card, device: str | None, compiled: bool) -> dict[str, Callable[[], Detector]]:
+def _ways(
+    model: CcRetinaNet, metadata: ModelMetadata, device: str | None, compiled: bool
+) -> dict[str, Callable[[], Detector]]:
     """Makers of detectors, so that only one is in the device's memory at a time."""
 
     def plain(half: bool) -> Detector:
         network: Any = _WithoutCc(deepcopy(model), half)
-        detector = Detector(network, card, device=device, half=False, fold=False)
-        detector.model.retinanet.to(memory_format=torch.contiguous_format)
+        detector = Detector(network, metadata, device=device, half=False, fold=False)
+        detector.model.to(memory_format=torch.contiguous_format)
         return detector
 
     def ours(half: bool, compiled: bool = False) -> Detector:
-        return Detector(deepcopy(model), card, device=device, half=half, compiled=compiled)
+        return Detector(deepcopy(model), metadata, device=device, half=half, compiled=compiled)
 
     ways: dict[str, Callable[[], Detector]] = {
         "torchvision": lambda: plain(False),
@@ -99,14 +101,14 @@ def _end_to_end(model: DetectorDetections, video: FrameSource, frames: int) -> t
 
 
 def _measure(detector: Detector, scene: Scene, first: list[Frame], frames: int, rounds: int) -> Any:
-    view = model_view(detector.card, scene.camera, scene.road)
+    view = model_view(detector.metadata, scene.camera, scene.road)
     assert view.rectification is not None
     model = DetectorDetections(detector, view)
     to_input = detector.rectifier(view.rectification, view.camera)
     batch = [to_input(frame.image) for frame in first[: detector.batch_size]]
     place = detector.device
     for _ in range(3):
-        detector(batch)
+        detector.detect(batch)
     if place.type == "cuda":
         torch.cuda.reset_peak_memory_stats(place)
     network, fps, vehicles = [], [], 0
@@ -114,7 +116,7 @@ def _measure(detector: Detector, scene: Scene, first: list[Frame], frames: int, 
     for _ in range(rounds):
         begin = synchronised_s(place)
         for _ in range(times):
-            detector(batch)
+            detector.detect(batch)
         network.append((synchronised_s(place) - begin) / (times * len(batch)))
         rate, vehicles = _end_to_end(model, scene.frames, frames)
         fps.append(rate)
@@ -144,7 +146,7 @@ def benchmark_sizes(
         compiled: also measure the compiled way, which takes half a minute more per size.
         say: is told each row.
     """
-    model, stored = load_detector(checkpoint, score_thresh=_SCORE)
+    model, stored = load_model(checkpoint, score_thresh=_SCORE)
     scene = find_scene(source).open()
     video = scene.frames
     begin = time.perf_counter()
@@ -160,8 +162,8 @@ def benchmark_sizes(
     names = list(_ways(model, stored, device, compiled))
     for name in sorted(names, key=lambda key: key.endswith("compiled")):
         for size_wh in sizes:
-            card = replace(stored, pair=pairs[size_wh], size_wh=size_wh)
-            detector = _ways(model, card, device, compiled)[name]()
+            metadata = replace(stored, pair=pairs[size_wh], size_wh=size_wh)
+            detector = _ways(model, metadata, device, compiled)[name]()
             result.setdefault("device", str(detector.device))
             row = _measure(detector, scene, first, frames, rounds)
             result["sizes"].setdefault(_text(size_wh), {})[name] = row
