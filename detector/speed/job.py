@@ -77,7 +77,7 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
     from labelgen.geometry import Pair, Rule, parse_size
     from labelgen.masks import create_mask_source, prime_masks
     from labelgen.masks.background.source import BackgroundMasks
-    from labelgen.masks.gated import ConfirmedMasks
+    from labelgen.masks.gated import GatedMasks
 
     if kind == "model" and argument:
         return _job_from_model(options, Path(argument))
@@ -111,7 +111,7 @@ def job_from_frames(options: SpeedOptions, kind: str, argument: str) -> SpeedJob
         device=options.device, frame_wh=frames.size_wh,
     )  # fmt: skip
     if chosen is Variant.SOCHOR:
-        masks = ConfirmedMasks(masks, BackgroundMasks(road_mask=road.pixels))
+        masks = GatedMasks(masks, BackgroundMasks(road_mask=road.pixels))
     detector = MaskDetections(masks, MaskPlacer(view, road, pair, rule))
     timed = _timed(frames, masks, frames.fps or rate, options.duration)
 
