@@ -21,7 +21,7 @@ from labelgen.geometry import Pair, Rule
 from labelgen.geometry.homography import Array
 from labelgen.masks import MaskSource, create_mask_source, prime_masks
 from labelgen.masks.background.source import BackgroundMasks
-from labelgen.masks.gated import ConfirmedMasks
+from labelgen.masks.gated import GatedMasks
 from labelgen.media.frames import Frame, FrameSource
 from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
@@ -149,7 +149,7 @@ def job_from_masks(scene: Scene, settings: MaskSpeedSettings, *, duration_s: flo
         frame_wh=frames.size_wh,
     )
     if settings.variant is Variant.SOCHOR:
-        masks = ConfirmedMasks(masks, BackgroundMasks(road_mask=road.pixels))
+        masks = GatedMasks(masks, BackgroundMasks(road_mask=road.pixels))
     source = MaskDetections(masks, MaskPlacer(view, road, settings.pair, settings.rule))
     timed = _timed(scene, masks, duration_s)
 

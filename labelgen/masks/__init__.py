@@ -1,14 +1,22 @@
-"""Where instance masks come from: Mask R-CNN, a background model, or ready-made COCO masks."""
+"""Instance masks of vehicles: from Mask R-CNN, from a background model, or from a COCO file."""
 
 from labelgen.masks.instances import InstanceMasks, crop_mask
-from labelgen.masks.source import MASK_SOURCES, MaskSource, create_mask_source, masked_frames, prime_masks
+from labelgen.masks.source import (
+    MaskKind,
+    MaskSource,
+    create_mask_source,
+    masked_frames,
+    parse_masks,
+    prime_masks,
+)
 
 __all__ = [
-    "MASK_SOURCES",
     "InstanceMasks",
+    "MaskKind",
     "MaskSource",
     "create_mask_source",
     "crop_mask",
     "masked_frames",
+    "parse_masks",
     "prime_masks",
 ]

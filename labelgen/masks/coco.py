@@ -1,10 +1,12 @@
-"""Ready-made masks in COCO JSON, so that the output of any segmentation tool can be used.
+"""Masks from COCO JSON, so that the output of any segmentation tool can be used.
 
-An image entry is found for a frame by its `frame` number where it has one, by its file name in a folder of images,
-and in a video by the number that its file name ends with (000123.jpg is frame 123).
+A frame's image entry is looked up by the entry's `frame` number where it has one. Otherwise a frame of a folder is
+looked up by file name, and a frame of a video by the number at the end of the file name (000123.jpg is frame 123).
 
-Source of the format: https://cocodataset.org/#format-data. Annotation files (an object with `images` and
-`annotations`) and bare lists of results are read; in a list of results the image ids are taken as frame numbers.
+Both forms of COCO files are read: annotation files, which are an object with `images` and `annotations`, and lists of
+results, whose image ids are taken as frame numbers.
+
+Source of the format: https://cocodataset.org/#format-data.
 """
 
 from __future__ import annotations
@@ -42,27 +44,26 @@ CLASS_BY_NAME = {
     "lorry": VehicleClass.TRUCK,
     "vehicle": VehicleClass.VEHICLE,
 }
-# How many of the categories that are no vehicles a message names.
-_NAMES_TOLD = 5
+# A message names at most this many of the categories that are no vehicles.
+_MAX_NAMED_CATEGORIES = 5
 
 
 class CocoMasks:
-    """Masks looked up in a COCO file; see the module's text for how frames are found.
-
-    Attributes:
-        problems: what had to be skipped or is left out, with the reason. Complete from the beginning where `frame_wh`
-            is given, else from the first frame, whichever frames are looked up.
+    """A `labelgen.masks.source.MaskSource` that looks masks up in a COCO file; see the module for how.
 
     Args:
         path: COCO JSON.
         score_threshold: annotations with a lower `score` are left out; those without one count as 1.
-        frame_wh: size of the frames; checks every mask against it at once.
+        frame_wh: size of the frames, px; all masks are checked against it at once. None takes the first frame's size.
+
+    Attributes:
+        problems: what is skipped or left out, with the reason. Complete from the beginning where `frame_wh` is given,
+            otherwise from the first frame on.
 
     Raises:
-        DataError: the file is missing, not JSON, or not COCO.
+        DataError: the file is missing, not JSON, not COCO, or has no category that is a vehicle.
     """
 
-    name = "coco"
     every_frame = 0
     prime_frames = 0
     batch_size = 16
@@ -73,7 +74,7 @@ class CocoMasks:
         self.path = Path(path)
         self.problems: list[str] = []
         self._score_threshold = score_threshold
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         data = _load(self.path)
         if isinstance(data, list):
             data = {"annotations": data}
@@ -86,10 +87,10 @@ class CocoMasks:
             self._check(frame_wh)
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
-        """Nothing to learn."""
+        """Do nothing: the masks are there already."""
 
     def observe(self, image: NDArray[np.uint8]) -> None:
-        """Nothing to learn."""
+        """Do nothing: the masks are there already."""
 
     def masks(
         self,
@@ -97,15 +98,13 @@ class CocoMasks:
         frame_numbers: Sequence[int] | None = None,
         file_names: Sequence[str] | None = None,
     ) -> list[InstanceMasks]:
-        """The masks of each frame; none for frames that the file does not mention. See `MaskSource.masks`."""
+        """Return the masks of each frame, none for frames without an image entry; see `MaskSource.masks`."""
         numbers = [-1] * len(images) if frame_numbers is None else frame_numbers
         names = [""] * len(images) if file_names is None else file_names
         return [
             self._masks_of((image.shape[1], image.shape[0]), self._image_id(number, name))
             for image, number, name in zip(images, numbers, names, strict=True)
         ]
-
-    # -- lookup -------------------------------------------------------------------------------------
 
     def _image_id(self, number: int, name: str) -> Any:
         if name:
@@ -134,42 +133,40 @@ class CocoMasks:
         )
 
     def _check(self, frame_wh: tuple[int, int]) -> None:
-        """Keep the vehicles' annotations that give masks in frames of this size; tell what is wrong with others."""
+        """Keep the annotations that give masks in frames of this size; report what is wrong with the others."""
         self._checked_wh, self._usable = frame_wh, {}
-        low = 0
-        for image_id, found in self._annotations.items():
-            for index, annotation in found:
+        low_count = 0
+        for image_id, entries in self._annotations.items():
+            for index, annotation in entries:
                 try:
                     score = _score(annotation.get("score", 1.0))
                     check_segmentation(annotation.get("segmentation"), frame_wh)
                 except ValueError as error:
-                    self._tell(f"annotation {annotation.get('id', f'number {index}')}: {error}; skipped")
+                    self._report(f"annotation {annotation.get('id', f'number {index}')}: {error}; skipped")
                     continue
                 if score < self._score_threshold:
-                    low += 1
+                    low_count += 1
                 else:
                     self._usable.setdefault(image_id, []).append(annotation)
-        if low:
-            self._tell(f"{_many(low, 'annotation')} with a score below {self._score_threshold:g} left out")
+        if low_count:
+            self._report(f"{_many(low_count, 'annotation')} with a score below {self._score_threshold:g} left out")
 
-    def _tell(self, problem: str) -> None:
-        if problem not in self._told:
-            self._told.add(problem)
-            # JSON may hold half characters, which no output takes.
+    def _report(self, problem: str) -> None:
+        if problem not in self._reported:
+            self._reported.add(problem)
+            # JSON may hold lone surrogates, which no output accepts.
             safe = problem.encode("utf-8", "backslashreplace").decode()
             self.problems.append(f"{self.path.name}: {safe}")
 
-    # -- reading the file ---------------------------------------------------------------------------
-
     def _read_categories(self, categories: Any) -> dict[int, VehicleClass]:
-        """Category id -> class; ids of categories that are no vehicles are remembered by name."""
+        """Return the class of each vehicle category; keep the names of the other categories."""
         self._other_names: dict[int, str] = {}
         if not isinstance(categories, list) or not categories:
             return dict(CLASS_BY_COCO_ID)
         classes = {}
         for category in categories:
             if not isinstance(category, dict) or not isinstance(category.get("id"), int):
-                self._tell(f"category without an id: {str(category)[:60]}; skipped")
+                self._report(f"category without an id: {str(category)[:60]}; skipped")
                 continue
             name = str(category.get("name", "")).strip().lower()
             if name in CLASS_BY_NAME:
@@ -177,12 +174,12 @@ class CocoMasks:
             else:
                 self._other_names[category["id"]] = name or f"id {category['id']}"
         if not classes:
-            known, found = ", ".join(CLASS_BY_NAME), ", ".join(sorted(self._other_names.values())[:10]) or "none"
-            raise DataError(f"{self.path}: none of its categories is a vehicle (found {found}); name them {known}")
+            known, others = ", ".join(CLASS_BY_NAME), ", ".join(sorted(self._other_names.values())[:10]) or "none"
+            raise DataError(f"{self.path}: none of its categories is a vehicle (found {others}); name them {known}")
         return classes
 
     def _read_images(self, data: dict[str, Any], frame_wh: tuple[int, int] | None) -> set[Any]:
-        """The image ids; fills the tables from frame number and from file name to image id."""
+        """Return the image ids; fill the tables from frame number and from file name to image id."""
         self._by_frame: dict[int, Any] = {}
         self._by_name: dict[str, Any] = {}
         self._by_number: dict[int, Any] = {}
@@ -195,18 +192,18 @@ class CocoMasks:
         base_names: Counter[str] = Counter()
         for entry in images:
             if not isinstance(entry, dict) or not _is_id(entry.get("id")):
-                self._tell(f"image entry without an id: {str(entry)[:60]}; skipped")
+                self._report(f"image entry without an id: {str(entry)[:60]}; skipped")
                 continue
             ids.add(entry["id"])
             size = (entry.get("width"), entry.get("height"))
             if frame_wh is not None and None not in size and size != tuple(frame_wh):
-                self._tell(
+                self._report(
                     f"images announce {size[0]}x{size[1]} px, but the frames are {frame_wh[0]}x{frame_wh[1]}; "
                     "masks of another size are skipped"
                 )
             if isinstance(entry.get("frame"), int):
                 self._by_frame.setdefault(entry["frame"], entry["id"])
-                continue  # a frame of a video: every one has the video's name
+                continue  # a frame of a video; its file name is the video's
             path = PurePosixPath(str(entry.get("file_name") or "").replace("\\", "/"))
             if not path.name:
                 continue
@@ -219,39 +216,39 @@ class CocoMasks:
                 self._by_number.setdefault(int(number[1]), entry["id"])
         repeated = sum(count > 1 for count in base_names.values())
         if repeated:
-            self._tell(f"{repeated} file names occur several times; frames named without a folder use the first")
+            self._report(f"{repeated} file names occur several times; frames named without a folder use the first")
         return ids
 
     def _read_annotations(self, annotations: list[Any]) -> dict[Any, list[tuple[int, dict[str, Any]]]]:
-        """Vehicles' annotations by image id, with their place in the file."""
-        found: dict[Any, list[tuple[int, dict[str, Any]]]] = {}
+        """Return the vehicles' annotations by image id, each with its index in the file."""
+        by_image: dict[Any, list[tuple[int, dict[str, Any]]]] = {}
         others: Counter[str] = Counter()
         crowds = 0
         for index, annotation in enumerate(annotations):
             if not isinstance(annotation, dict):
-                self._tell(f"annotation number {index}: not a JSON object; skipped")
+                self._report(f"annotation number {index}: not a JSON object; skipped")
                 continue
             label = f"annotation {annotation.get('id', f'number {index}')}"
             image_id, category = annotation.get("image_id"), annotation.get("category_id")
             if not _is_id(image_id) or image_id not in self._images:
-                self._tell(f"{label}: no image with id {image_id!r}; skipped")
+                self._report(f"{label}: no image with id {image_id!r}; skipped")
             elif not isinstance(category, int):
-                self._tell(f"{label}: category_id {category!r} is not a number; skipped")
+                self._report(f"{label}: category_id {category!r} is not a number; skipped")
             elif annotation.get("iscrowd") == 1:
                 crowds += 1
             elif category not in self._classes:
                 others[self._other_names.get(category, f"id {category}")] += 1
             else:
                 entry = {**annotation, "_class": self._classes[category]}
-                found.setdefault(image_id, []).append((index, entry))
+                by_image.setdefault(image_id, []).append((index, entry))
         if others:
-            names = [name for name, _ in others.most_common(_NAMES_TOLD)]
+            names = [name for name, _ in others.most_common(_MAX_NAMED_CATEGORIES)]
             more = [f"{len(others) - len(names)} more"] if len(others) > len(names) else []
             count = _many(others.total(), "annotation")
-            self._tell(f"{count} of other categories ({', '.join(names + more)}) left out")
+            self._report(f"{count} of other categories ({', '.join(names + more)}) left out")
         if crowds:
-            self._tell(f"{_many(crowds, 'crowd region')} left out")
-        return found
+            self._report(f"{_many(crowds, 'crowd region')} left out")
+        return by_image
 
 
 def _many(count: int, noun: str) -> str:
@@ -273,7 +270,7 @@ def _load(path: Path) -> Any:
         with path.open(encoding="utf-8") as file:
             data = json.load(file)
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file; --masks coco:FILE needs a COCO JSON file") from None
+        raise DataError(f"{path}: no such file; masks coco:FILE needs a COCO JSON file", parameter="masks") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:

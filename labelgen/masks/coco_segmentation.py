@@ -1,7 +1,9 @@
-"""COCO segmentations to crops: RLE, compressed or not, and polygons. Only the mask's own box is ever filled.
+"""Decode COCO segmentations to crops: polygons and run-length encoding (RLE), compressed or not.
 
-RLE is decoded here and not by pycocotools, which trusts the run lengths that a file gives.
-Source of the run-length text: pycocotools, `rleFrString`; of what a polygon covers: pycocotools, `rleFrPoly`.
+Only the mask's bounding box is filled, not the whole frame. RLE is decoded here and not by pycocotools, which does not
+check the run lengths of a file.
+
+Source: pycocotools, `rleFrString` (text form of run lengths) and `rleFrPoly` (pixels of a polygon).
 """
 
 from __future__ import annotations
@@ -16,35 +18,46 @@ from labelgen.masks.instances import crop_mask
 
 __all__ = ["check_segmentation", "decode_segmentation"]
 
-# Characters of a run length in COCO's text, 5 bits each; a frame of so many pixels needs no more.
-_LONGEST_RUN = 8
+# Characters of a run length in COCO's text, 5 bits each: 40 bits count the pixels of any frame.
+_MAX_RUN_CHARACTERS = 8
 _EMPTY = "its mask is empty or outside the frame"
 Crop = tuple[tuple[int, int], NDArray[np.bool_]]
 
 
 def check_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> None:
-    """Find out what is wrong with a COCO segmentation without filling a mask.
+    """Check a COCO segmentation without filling a mask.
+
+    Args:
+        segmentation: `segmentation` of a COCO annotation.
+        frame_wh: size of the frame, px.
 
     Raises:
-        ValueError: exactly where `decode_segmentation` raises it.
+        ValueError: `decode_segmentation` would raise it.
     """
     _read(segmentation, frame_wh)
 
 
 def decode_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> Crop:
-    """A COCO segmentation as origin px (x, y) and crop (h, w) bool.
+    """Decode a COCO segmentation.
+
+    Args:
+        segmentation: `segmentation` of a COCO annotation.
+        frame_wh: size of the frame, px.
+
+    Returns:
+        Origin (x, y) of the crop in the frame, px, and the crop (h, w) bool.
 
     Raises:
-        ValueError: what is wrong with it, as the end of a sentence about the annotation.
+        ValueError: the segmentation is unusable; the message continues a sentence about the annotation.
     """
-    read = _read(segmentation, frame_wh)
-    part = _fill_columns(read, frame_wh[1]) if isinstance(read, np.ndarray) else _fill_polygon(*read)
-    assert part is not None  # its area was found to be more than 0
-    return part
+    runs = _read(segmentation, frame_wh)
+    crop = _fill_columns(runs, frame_wh[1]) if isinstance(runs, np.ndarray) else _fill_polygon(*runs)
+    assert crop is not None  # `_read` has checked that the area is not 0
+    return crop
 
 
 def _read(segmentation: Any, frame_wh: tuple[int, int]) -> NDArray[np.int64] | tuple[dict[str, Any], tuple[int, int]]:
-    """The ends of the runs of an RLE; or the RLE of polygons within their own box, and its origin."""
+    """Return the ends of the runs of an RLE; for polygons, their RLE within their bounding box and its origin."""
     if isinstance(segmentation, dict):
         return _run_ends(segmentation, frame_wh)
     if isinstance(segmentation, list) and segmentation:
@@ -53,7 +66,7 @@ def _read(segmentation: Any, frame_wh: tuple[int, int]) -> NDArray[np.int64] | t
 
 
 def _run_ends(rle: dict[str, Any], frame_wh: tuple[int, int]) -> NDArray[np.int64]:
-    """(R,) the pixel, counted down the columns, at which each run ends; unset and set runs in turn."""
+    """Return (R,) the pixel at which each run ends, counted down the columns; unset and set runs alternate."""
     w, h = frame_wh
     size, counts = rle.get("size"), rle.get("counts")
     if size != [h, w]:
@@ -75,7 +88,7 @@ def _run_ends(rle: dict[str, Any], frame_wh: tuple[int, int]) -> NDArray[np.int6
 
 
 def _fill_columns(ends: NDArray[np.int64], h: int) -> Crop | None:
-    """Fill only the columns between the first and the last set run."""
+    """Fill the columns between the first and the last set run."""
     set_runs = np.flatnonzero(np.diff(ends, prepend=0)[1::2]) * 2 + 1
     first, last = int(ends[set_runs[0] - 1]) // h, -(-int(ends[set_runs[-1]]) // h)
     clipped = np.clip(ends, first * h, last * h)
@@ -85,7 +98,11 @@ def _fill_columns(ends: NDArray[np.int64], h: int) -> Crop | None:
 
 
 def _parse_counts(text: str) -> NDArray[np.int64]:
-    """(R,) run lengths from COCO's text: 5 bits a character, little end first, differences to the last but one run."""
+    """Parse (R,) run lengths from COCO's text.
+
+    Each character holds 5 bits, the lowest first. From the fourth on, the numbers are differences to the run length two
+    places before.
+    """
     bits = np.frombuffer(text.encode("utf-8", "replace"), dtype=np.uint8).astype(np.int64) - 48
     if ((bits < 0) | (bits >= 64)).any():
         raise ValueError("its RLE holds characters that are no run lengths")
@@ -94,7 +111,7 @@ def _parse_counts(text: str) -> NDArray[np.int64]:
     ends = np.flatnonzero(bits < 32)
     starts = np.concatenate([[0], ends + 1])
     sizes = np.diff(np.append(starts, bits.size))
-    if sizes.max() > _LONGEST_RUN:
+    if sizes.max() > _MAX_RUN_CHARACTERS:
         raise ValueError("its RLE holds a run length beyond any frame")
     if sizes[-1]:
         raise ValueError("its RLE is cut off")
@@ -102,7 +119,7 @@ def _parse_counts(text: str) -> NDArray[np.int64]:
     place = np.arange(bits.size) - np.repeat(starts, sizes)
     counts = np.add.reduceat((bits & 31) << (5 * place), starts)
     counts -= np.where(bits[ends] & 16, 1 << (5 * sizes), 0)
-    # The first three stand for themselves.
+    # The first three are absolute.
     counts[1::2] = np.cumsum(counts[1::2])
     counts[2::2] = np.cumsum(counts[2::2])
     return counts

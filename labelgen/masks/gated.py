@@ -1,9 +1,9 @@
-"""What moves, where a detector says that there is a vehicle: blobs of a background model inside detections' boxes.
+"""Silhouettes of a background model, gated by detections: what moves inside the box of a detected vehicle.
 
-The outline comes from the background model, so that it is that of the moving vehicle and not of a network's coarse
-mask; whether it is a vehicle, which class, and where one ends and the next begins, comes from the detections.
+The outline comes from the background model, which follows it more closely than a network's coarse mask. Whether there
+is a vehicle, its class, and the border between two vehicles come from the detections.
 
-Source: Sochor et al., CVIU 2017 (Faster R-CNN decides, the foreground within its box gives the 3D box).
+Source: Sochor et al., CVIU 2017 (Faster R-CNN detects, the foreground within its box gives the 3D box).
 """
 
 from __future__ import annotations
@@ -18,40 +18,42 @@ from labelgen.masks.background.source import BackgroundMasks
 from labelgen.masks.instances import InstanceMasks, crop_mask
 from labelgen.masks.source import MaskSource
 
-__all__ = ["ConfirmedMasks", "confirmed"]
+__all__ = ["GatedMasks"]
 
-_GROWN = 0.05
-_LEAST_FILLED = 0.25
+# A detection's box is enlarged by this share of its longer side: networks cut off bumpers and wheels.
+_MARGIN_SHARE = 0.05
+# Least share of a detection's box that silhouettes fill. A smaller share keeps detections of parked vehicles.
+_MIN_FILLED_SHARE = 0.25
+# Least area of a separate piece, relative to the largest: smaller ones are corners of other vehicles.
+_MIN_PIECE_SHARE = 0.2
 
 
-class ConfirmedMasks:
-    """A `MaskSource` made of two.
+class GatedMasks:
+    """A `labelgen.masks.source.MaskSource` made of two.
 
     Args:
-        detections: which vehicles there are; only their boxes, classes and scores count.
-        blobs: what moves.
+        detections: finds the vehicles; only their boxes, classes and scores are used.
+        silhouettes: finds what moves.
     """
 
-    name = "confirmed"
-
-    def __init__(self, detections: MaskSource, blobs: BackgroundMasks) -> None:
-        self._detections, self._blobs = detections, blobs
-        self.every_frame, self.prime_frames = blobs.every_frame, blobs.prime_frames
-        # The background model must follow frame by frame.
-        self.batch_size = blobs.batch_size
+    def __init__(self, detections: MaskSource, silhouettes: BackgroundMasks) -> None:
+        self._detections, self._silhouettes = detections, silhouettes
+        self.every_frame, self.prime_frames = silhouettes.every_frame, silhouettes.prime_frames
+        # The background model must be updated between any two frames.
+        self.batch_size = silhouettes.batch_size
 
     @property
     def problems(self) -> list[str]:
-        """What either source had to skip so far."""
-        return [*self._detections.problems, *self._blobs.problems]
+        """What both sources have skipped so far."""
+        return [*self._detections.problems, *self._silhouettes.problems]
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Learn the empty scene; see `MaskSource.prime`."""
-        self._blobs.prime(frames)
+        self._silhouettes.prime(frames)
 
     def observe(self, image: NDArray[np.uint8]) -> None:
-        """See `MaskSource.observe`."""
-        self._blobs.observe(image)
+        """Update the empty scene; see `MaskSource.observe`."""
+        self._silhouettes.observe(image)
 
     def masks(
         self,
@@ -59,47 +61,44 @@ class ConfirmedMasks:
         frame_numbers: Sequence[int] | None = None,
         file_names: Sequence[str] | None = None,
     ) -> list[InstanceMasks]:
-        """What moves inside each detection; see `MaskSource.masks`."""
-        found = self._detections.masks(images, frame_numbers, file_names)
-        return [confirmed(d, b) for d, b in zip(found, self._blobs.masks(images), strict=True)]
+        """Return what moves inside each detection; see `MaskSource.masks`."""
+        detections = self._detections.masks(images, frame_numbers, file_names)
+        silhouettes = self._silhouettes.masks(images)
+        return [_gate(d, s) for d, s in zip(detections, silhouettes, strict=True)]
 
 
-def confirmed(detections: InstanceMasks, blobs: InstanceMasks) -> InstanceMasks:
-    """The blobs' pixels within each detection's box, with the detection's class and score.
+def _gate(detections: InstanceMasks, silhouettes: InstanceMasks) -> InstanceMasks:
+    """Return the silhouettes' pixels within each detection's enlarged box, with the detection's class and score.
 
-    Args:
-        detections, blobs: of one frame.
-
-    Returns:
-        one mask per detection whose box, a little grown, blobs fill by a quarter or more.
+    Detections whose boxes are not filled enough are left out.
     """
-    width, height = blobs.frame_wh
+    width, height = silhouettes.frame_wh
     moving = np.zeros((height, width), dtype=np.bool_)
-    for (x, y), crop in zip(blobs.origins.tolist(), blobs.crops, strict=True):
+    for (x, y), crop in zip(silhouettes.origins.tolist(), silhouettes.crops, strict=True):
         moving[y : y + crop.shape[0], x : x + crop.shape[1]] |= crop
-    kept, origins, crops = [], [], []
+    indices, origins, crops = [], [], []
     for i, box in enumerate(detections.boxes_xyxy.tolist()):
-        margin = round(_GROWN * max(box[2] - box[0], box[3] - box[1]))
+        margin = round(_MARGIN_SHARE * max(box[2] - box[0], box[3] - box[1]))
         x0, y0 = max(0, box[0] - margin), max(0, box[1] - margin)
-        part = _largest(moving[y0 : box[3] + margin, x0 : box[2] + margin])
-        cut = crop_mask(part, (x0, y0))
-        if cut is not None and cut[1].sum() >= _LEAST_FILLED * (box[2] - box[0]) * (box[3] - box[1]):
-            kept.append(i)
-            origins.append(cut[0])
-            crops.append(cut[1])
+        pieces = _drop_small_pieces(moving[y0 : box[3] + margin, x0 : box[2] + margin])
+        cropped = crop_mask(pieces, (x0, y0))
+        if cropped is not None and cropped[1].sum() >= _MIN_FILLED_SHARE * (box[2] - box[0]) * (box[3] - box[1]):
+            indices.append(i)
+            origins.append(cropped[0])
+            crops.append(cropped[1])
     return InstanceMasks(
-        blobs.frame_wh,
+        silhouettes.frame_wh,
         np.array(origins, dtype=np.int64).reshape(-1, 2),
         tuple(crops),
-        detections.class_ids[kept],
-        detections.scores[kept],
+        detections.class_ids[indices],
+        detections.scores[indices],
     )
 
 
-def _largest(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Without the corners of other blobs that reach in: parts at least a fifth as large as the largest."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(part.view(np.uint8))
+def _drop_small_pieces(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask without pieces much smaller than the largest, which are corners of other vehicles."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8))
     if count < 3:
-        return part
+        return mask
     areas = stats[1:, cv2.CC_STAT_AREA]
-    return np.isin(labels, 1 + np.flatnonzero(areas >= 0.2 * areas.max()))
+    return np.isin(labels, 1 + np.flatnonzero(areas >= _MIN_PIECE_SHARE * areas.max()))

@@ -1,6 +1,6 @@
-"""What every mask source gives: the vehicles' masks of one frame, cropped to where they are.
+"""Instance masks of one frame, each cropped to its bounding box: the output of every mask source.
 
-Convention: pixels are areas; a crop (h, w) whose origin is (x, y) covers the frame's pixels [x, x + w) x [y, y + h).
+Convention: pixels are areas; a crop (h, w) with origin (x, y) covers the frame's pixels [x, x + w) x [y, y + h).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class InstanceMasks:
         scores: (N,) float32 in [0, 1].
 
     Raises:
-        DataError: all fields that are wrong, expected beside actual.
+        DataError: a field has a wrong shape or value. The message lists all such fields, expected beside actual.
     """
 
     frame_wh: tuple[int, int]
@@ -74,7 +74,7 @@ class InstanceMasks:
 
     @classmethod
     def empty(cls, frame_wh: tuple[int, int]) -> InstanceMasks:
-        """No masks."""
+        """Return no masks for a frame of this size (width, height), px."""
         return cls(frame_wh, np.empty((0, 2)), (), np.empty(0), np.empty(0))  # type: ignore[arg-type]
 
     @classmethod
@@ -85,7 +85,17 @@ class InstanceMasks:
         class_ids: Sequence[int],
         scores: ArrayLike,
     ) -> InstanceMasks:
-        """From whole-frame masks (H, W); each must have a pixel set."""
+        """Crop masks of the whole frame.
+
+        Args:
+            frame_wh: size of the frame, px.
+            masks: N masks (H, W); any non-zero value is set, and each mask has at least one pixel set.
+            class_ids: N values of `labelgen.labels.VehicleClass`.
+            scores: (N,) in [0, 1].
+
+        Raises:
+            DataError: a mask without any pixel, or fields that do not fit together.
+        """
         cropped = [crop_mask(mask) for mask in masks]
         if any(part is None for part in cropped):
             raise DataError("instance masks: a mask without any pixel; leave such masks out")
@@ -101,12 +111,12 @@ class InstanceMasks:
 
     @property
     def boxes_xyxy(self) -> NDArray[np.int64]:
-        """(N, 4) the crops' rectangles, frame px, along pixel borders."""
+        """(N, 4) int64 bounding boxes x0, y0, x1, y1 of the crops, frame px, along pixel borders."""
         sizes = np.array([(c.shape[1], c.shape[0]) for c in self.crops], dtype=np.int64).reshape(-1, 2)
         return np.concatenate([self.origins, self.origins + sizes], axis=1)
 
     def full(self, index: int) -> BoolMask:
-        """(H, W) bool: one mask in the whole frame."""
+        """Return one mask in the whole frame, (H, W) bool."""
         out = np.zeros((self.frame_wh[1], self.frame_wh[0]), dtype=np.bool_)
         (x, y), crop = self.origins[index], self.crops[index]
         out[y : y + crop.shape[0], x : x + crop.shape[1]] = crop
@@ -114,14 +124,14 @@ class InstanceMasks:
 
 
 def crop_mask(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> tuple[tuple[int, int], BoolMask] | None:
-    """A mask (H, W), any non-zero value being set, cut to its set pixels.
+    """Crop a mask to the bounding box of its set pixels.
 
     Args:
-        mask: (H, W) bool or number.
-        origin_px: frame px of the mask's first pixel.
+        mask: (H, W) bool or number; any non-zero value is set.
+        origin_px: frame px (x, y) of the mask's first pixel.
 
     Returns:
-        The crop's origin in the frame and the crop (h, w) bool; None if no pixel is set.
+        Origin (x, y) of the crop in the frame and the crop (h, w) bool; None if no pixel is set.
     """
     image = np.ascontiguousarray(mask if mask.dtype in (np.bool_, np.uint8) else mask != 0).view(np.uint8)
     x, y, w, h = cv2.boundingRect(image)

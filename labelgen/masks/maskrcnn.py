@@ -1,4 +1,7 @@
-"""Masks from torchvision's Mask R-CNN with COCO classes."""
+"""Masks from torchvision's Mask R-CNN with COCO classes.
+
+Source: He et al., "Mask R-CNN", ICCV 2017; weights and classes: torchvision.
+"""
 
 from __future__ import annotations
 
@@ -26,26 +29,25 @@ __all__ = ["MaskRcnnMasks"]
 
 _MASK_THRESHOLD = 0.5
 _COCO_CLASSES = 91
-_INSTEAD = "give a state dict with --weights FILE, or use --masks background or --masks coco:FILE"
-# Only the second version's region proposal head has two convolutions.
-_ONLY_IN_V2 = "rpn.head.conv.1.0.weight"
+_ALTERNATIVES = "give a state dict as weights, or use masks background or coco:FILE"
+# The region proposal head has two convolutions in the second version only.
+_V2_KEY = "rpn.head.conv.1.0.weight"
 
 
 class MaskRcnnMasks:
-    """Instance masks of cars, motorcycles, buses and trucks.
+    """A `labelgen.masks.source.MaskSource`: instance masks of cars, motorcycles, buses and trucks.
 
     Args:
-        weights: a state dict of torchvision's maskrcnn_resnet50_fpn_v2 or maskrcnn_resnet50_fpn with COCO's 91
-            classes, which of the two is seen from its keys; None downloads the v2 COCO weights once.
+        weights: state dict of torchvision's maskrcnn_resnet50_fpn_v2 or maskrcnn_resnet50_fpn with COCO's 91 classes;
+            its keys show which of the two. None downloads the COCO weights of v2 once.
         score_threshold: masks with a lower score are left out.
-        device: a torch device; None takes a GPU if there is one.
+        device: torch device; None takes a GPU if there is one.
 
     Raises:
-        DataError: the weights' file is missing or holds something else.
+        DataError: the file of the weights is missing or holds something else.
         LabelgenError: the weights cannot be downloaded, or there is no such device.
     """
 
-    name = "maskrcnn"
     every_frame = 0
     prime_frames = 0
     batch_size = 4
@@ -57,7 +59,7 @@ class MaskRcnnMasks:
         self._score_threshold = score_threshold
         self._device = _device(device)
         state = _download() if weights is None else _load(Path(weights))
-        build = maskrcnn_resnet50_fpn_v2 if _ONLY_IN_V2 in state else maskrcnn_resnet50_fpn
+        build = maskrcnn_resnet50_fpn_v2 if _V2_KEY in state else maskrcnn_resnet50_fpn
         model = build(weights=None, weights_backbone=None, num_classes=_COCO_CLASSES)
         _fill(model, state, "the downloaded weights" if weights is None else str(weights))
         model.roi_heads.score_thresh = score_threshold
@@ -65,10 +67,10 @@ class MaskRcnnMasks:
         self._model = model.to(self._device).eval()
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
-        """Nothing to learn."""
+        """Do nothing: frames are segmented one by one."""
 
     def observe(self, image: NDArray[np.uint8]) -> None:
-        """Nothing to learn."""
+        """Do nothing: frames are segmented one by one."""
 
     def masks(
         self,
@@ -76,25 +78,26 @@ class MaskRcnnMasks:
         frame_numbers: Sequence[int] | None = None,
         file_names: Sequence[str] | None = None,
     ) -> list[InstanceMasks]:
-        """The vehicles' masks in each image; see `MaskSource.masks`."""
+        """Return the vehicles' masks in each image; see `MaskSource.masks`."""
         if not images:
             return []
-        # Copied because flipping the channels leaves a view that torch does not take.
+        # The copy is needed because torch does not accept views with negative strides.
         batch = [
             torch.from_numpy(image[..., ::-1].transpose(2, 0, 1).copy()).to(self._device).float() / 255
             for image in images
         ]
         with torch.inference_mode():
-            found = self._model(batch)
+            detections = self._model(batch)
         return [
             self._vehicles({k: v.cpu().numpy() for k, v in one.items()}, (image.shape[1], image.shape[0]))
-            for one, image in zip(found, images, strict=True)
+            for one, image in zip(detections, images, strict=True)
         ]
 
-    def _vehicles(self, found: Mapping[str, NDArray[Any]], frame_wh: tuple[int, int]) -> InstanceMasks:
+    def _vehicles(self, detections: Mapping[str, NDArray[Any]], frame_wh: tuple[int, int]) -> InstanceMasks:
+        """Return the vehicles among the detections of one image."""
         origins, crops, class_ids, scores = [], [], [], []
         for box, label, score, small in zip(
-            found["boxes"], found["labels"], found["scores"], found["masks"], strict=True
+            *(detections[key] for key in ("boxes", "labels", "scores", "masks")), strict=True
         ):
             vehicle_class = CLASS_BY_COCO_ID.get(int(label))
             if vehicle_class is None or score < self._score_threshold:
@@ -116,7 +119,7 @@ class MaskRcnnMasks:
 
 
 class _SmallMasks(GeneralizedRCNNTransform):  # type: ignore[misc]
-    """The model's own transform, but leaving masks at 28 x 28: pasted into whole frames they fill gigabytes."""
+    """The model's own transform, without pasting masks of 28 x 28 into whole frames, which would fill gigabytes."""
 
     def __init__(self, like: GeneralizedRCNNTransform) -> None:
         super().__init__(like.min_size, like.max_size, like.image_mean, like.image_std)
@@ -133,7 +136,7 @@ class _SmallMasks(GeneralizedRCNNTransform):  # type: ignore[misc]
 def _place(
     small: NDArray[np.float32], box_xyxy: NDArray[np.float32], frame_wh: tuple[int, int]
 ) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
-    """Origin and crop in the frame of a mask (28, 28) of probabilities that spans a box."""
+    """Resample a mask (28, 28) of probabilities that spans a box: origin and crop in the frame."""
     x0, y0, x1, y1 = (float(v) for v in box_xyxy)
     low = max(0, int(np.floor(x0))), max(0, int(np.floor(y0)))
     high = min(frame_wh[0], int(np.ceil(x1))), min(frame_wh[1], int(np.ceil(y1)))
@@ -154,7 +157,9 @@ def _device(name: str | None) -> torch.device:
         device = torch.device(name)
         torch.empty(1, device=device)
     except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise LabelgenError(f"--device {name}: not usable here ({_first_line(error)}); try cpu") from None
+        raise LabelgenError(
+            f"device {name}: not usable here ({_first_line(error)}); try cpu", parameter="device"
+        ) from None
     return device
 
 
@@ -164,34 +169,39 @@ def _download() -> dict[str, Any]:
         state: dict[str, Any] = weights.get_state_dict(progress=False, check_hash=True, weights_only=True)
     except (OSError, RuntimeError, pickle.UnpicklingError) as error:
         raise LabelgenError(
-            f"Mask R-CNN's COCO weights cannot be downloaded ({_first_line(error)}); {_INSTEAD}"
+            f"Mask R-CNN's COCO weights cannot be downloaded ({_first_line(error)}); {_ALTERNATIVES}",
+            parameter="weights",
         ) from None
     return state
 
 
 def _load(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise DataError(f"--weights {path}: no such file")
+        raise DataError(f"weights {path}: no such file", parameter="weights")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, RuntimeError, ValueError, EOFError, KeyError, pickle.UnpicklingError):
-        # torch's own reasons speak of its defaults and of loading the file unsafely, which nobody should.
+        # The reason that torch gives suggests to load the file unsafely.
         raise DataError(
-            f"--weights {path}: not a file of PyTorch tensors alone; save it with torch.save(model.state_dict(), FILE)"
+            f"weights {path}: not a file of PyTorch tensors alone; save it with torch.save(model.state_dict(), FILE)",
+            parameter="weights",
         ) from None
     for key in ("state_dict", "model"):
         if isinstance(state, dict) and isinstance(state.get(key), dict):
             state = state[key]
     if not isinstance(state, dict) or not all(isinstance(v, torch.Tensor) for v in state.values()):
-        raise DataError(f"--weights {path}: not a state dict; save it with torch.save(model.state_dict(), FILE)")
+        raise DataError(
+            f"weights {path}: not a state dict; save it with torch.save(model.state_dict(), FILE)", parameter="weights"
+        )
     return {str(key).removeprefix("module."): value for key, value in state.items()}
 
 
-def _fill(model: torch.nn.Module, state: Mapping[str, Any], what: str) -> None:
-    wanted = model.state_dict()
-    missing = [k for k in wanted if k not in state and not k.endswith("num_batches_tracked")]
-    unexpected = [k for k in state if k not in wanted]
-    other = [k for k in wanted if k in state and wanted[k].shape != state[k].shape]
+def _fill(model: torch.nn.Module, state: Mapping[str, Any], label: str) -> None:
+    """Load a state dict into the model; refuse one that does not fit, naming the first differences."""
+    expected = model.state_dict()
+    missing = [k for k in expected if k not in state and not k.endswith("num_batches_tracked")]
+    unexpected = [k for k in state if k not in expected]
+    other = [k for k in expected if k in state and expected[k].shape != state[k].shape]
     parts = [
         f"{len(keys)} {kind} (such as {keys[0]})"
         for kind, keys in (("keys missing", missing), ("unexpected", unexpected), ("of another shape", other))
@@ -199,7 +209,8 @@ def _fill(model: torch.nn.Module, state: Mapping[str, Any], what: str) -> None:
     ]
     if parts:
         raise DataError(
-            f"--weights {what}: not a Mask R-CNN of torchvision with {_COCO_CLASSES} classes: {', '.join(parts)}"
+            f"weights {label}: not a Mask R-CNN of torchvision with {_COCO_CLASSES} classes: {', '.join(parts)}",
+            parameter="weights",
         )
     model.load_state_dict(dict(state), strict=False)
 

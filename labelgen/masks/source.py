@@ -1,8 +1,9 @@
-"""The interface of everything that finds vehicles' masks in frames, and the way to make one by name."""
+"""The interface of mask sources, how to create one by name, and how to run one along a video."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from enum import StrEnum
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,29 +15,47 @@ from labelgen.errors import LabelgenError
 from labelgen.masks.instances import InstanceMasks
 from labelgen.media.frames import Frame, FrameSource
 
-__all__ = ["MASK_SOURCES", "MaskSource", "create_mask_source", "masked_frames", "prime_masks"]
+__all__ = ["MaskKind", "MaskSource", "create_mask_source", "masked_frames", "parse_masks", "prime_masks"]
 
-MASK_SOURCES = ("maskrcnn", "background", "coco:FILE")
+# Frames apart from which a source is primed: neighbouring frames of traffic are too alike.
+_PRIME_STRIDE = 10
+
+
+class MaskKind(StrEnum):
+    """Kinds of mask sources.
+
+    MASKRCNN: instance segmentation by a network, `labelgen.masks.maskrcnn`.
+    BACKGROUND: background subtraction, `labelgen.masks.background.source`.
+    COCO: masks made before, read from a COCO JSON file, `labelgen.masks.coco`.
+    """
+
+    MASKRCNN = "maskrcnn"
+    BACKGROUND = "background"
+    COCO = "coco"
 
 
 class MaskSource(Protocol):
-    """Frames in, instance masks out.
+    """Finds the instance masks of the vehicles in the frames of one video.
 
-    The driver walks through the frames in order. It calls `prime` once before, where `prime_frames` > 0;
-    `observe` on every frame whose number is a multiple of `every_frame`, where that is not 0; and `masks` on the frames
-    it wants labelled, after observing them, at most `batch_size` at once. `masks` changes nothing, so what a frame
-    gives depends only on the frames observed before it, not on which others were asked for.
+    Contract between a source and its caller (`prime_masks` and `masked_frames` keep it):
+
+    1. The caller calls `prime` once, before the first frame, where `prime_frames` is not 0. A source that needs no
+       priming ignores the call.
+    2. The caller passes through the frames in order. Where `every_frame` is k, not 0, it calls `observe` for each frame
+       whose number is a multiple of k.
+    3. It calls `masks` for the frames that it wants labelled, after their own `observe` and before the `observe` of
+       later frames, with at most `batch_size` frames in one call.
+    4. `masks` leaves the source's state as it is, apart from `problems`. So the masks of a frame depend only on the
+       frames observed before it, not on which other frames were asked for.
 
     Attributes:
-        name: "maskrcnn", "background" or "coco".
-        every_frame: 0, or k to be shown every k-th frame through `observe`.
-        prime_frames: how many frames from the beginning of the video `prime` wants to choose from; 0: none.
-        batch_size: how many frames `masks` takes at once at best; 1 where it must follow `observe` frame by frame.
-        problems: what had to be skipped so far, one line each.
+        every_frame: 0 for a source that need not observe; k for one that observes every k-th frame.
+        prime_frames: number of frames at the beginning of the video from which `prime` takes its frames; 0 for none.
+        batch_size: best number of frames in one call of `masks`. It is 1 where `masks` must follow `observe` frame by
+            frame.
+        problems: what has been skipped so far and why, one line each. A source may append to it in any call.
     """
 
-    @property
-    def name(self) -> str: ...
     @property
     def every_frame(self) -> int: ...
     @property
@@ -47,11 +66,11 @@ class MaskSource(Protocol):
     def problems(self) -> list[str]: ...
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
-        """Learn from the beginning of a video, (H, W, 3) uint8 BGR each, before the real pass."""
+        """Learn from frames (H, W, 3) uint8 BGR of the beginning of the video, in order."""
         ...
 
     def observe(self, image: NDArray[np.uint8]) -> None:
-        """See one frame (H, W, 3) uint8 BGR in passing."""
+        """Update the source's state with one frame (H, W, 3) uint8 BGR."""
         ...
 
     def masks(
@@ -60,18 +79,42 @@ class MaskSource(Protocol):
         frame_numbers: Sequence[int] | None = None,
         file_names: Sequence[str] | None = None,
     ) -> list[InstanceMasks]:
-        """The masks of each image (H, W, 3) uint8 BGR.
+        """Return the instance masks of each image.
 
         Args:
-            images: B frames.
-            frame_numbers: B numbers in the video, for sources that look masks up.
-            file_names: B file names, for the same; empty strings for frames of a video.
+            images: B frames (H, W, 3) uint8 BGR.
+            frame_numbers: B numbers of the frames in the video, for sources that look masks up.
+            file_names: B file names, for sources that look masks up; empty strings for frames of a video.
+
+        Returns:
+            B instance masks, in the order of the images.
         """
         ...
 
 
+def parse_masks(masks: str) -> tuple[MaskKind, Path | None]:
+    """Parse the name of a mask source.
+
+    Args:
+        masks: "maskrcnn", "background" or "coco:FILE".
+
+    Returns:
+        The kind, and the COCO file of `MaskKind.COCO`; None for the other kinds.
+
+    Raises:
+        LabelgenError: unknown name.
+    """
+    name, _, file = masks.strip().partition(":")
+    # Only masks made before have a file.
+    if name in set(MaskKind) and (name == MaskKind.COCO) == bool(file):
+        return MaskKind(name), Path(file) if file else None
+    raise LabelgenError(
+        f"masks {masks}: unknown mask source; use one of maskrcnn, background, coco:FILE", parameter="masks"
+    )
+
+
 def create_mask_source(
-    spec: str,
+    masks: str,
     *,
     weights: str | Path | None = None,
     score_threshold: float = 0.5,
@@ -79,47 +122,47 @@ def create_mask_source(
     device: str | None = None,
     frame_wh: tuple[int, int] | None = None,
 ) -> MaskSource:
-    """A mask source by name.
+    """Create a mask source by name.
 
     Args:
-        spec: "maskrcnn", "background" or "coco:FILE".
-        weights: maskrcnn only: a state dict to use in place of torchvision's COCO weights.
+        masks: "maskrcnn", "background" or "coco:FILE".
+        weights: state dict that replaces torchvision's COCO weights; maskrcnn only.
         score_threshold: masks with a lower score are left out.
-        road_mask: (H, W) background only: vehicles must stand on it.
-        device: maskrcnn only: a torch device such as "cuda:1"; a GPU if there is one by default.
-        frame_wh: coco only: warn about masks made for another size of frame.
+        road_mask: (H, W), not 0 on the road, on which vehicles must stand; used by background only.
+        device: torch device such as "cuda:1", by default a GPU if there is one; used by maskrcnn only.
+        frame_wh: size of the frames, px; coco checks all masks against it at once.
 
     Raises:
-        LabelgenError: unknown name, or an option that the source does not have.
+        LabelgenError: unknown name, or weights for a source that takes none.
         DataError: weights or masks that cannot be used.
     """
-    name, _, argument = spec.strip().partition(":")
-    if weights is not None and name != "maskrcnn":
-        raise LabelgenError(f"--weights: only --masks maskrcnn takes weights, not --masks {spec}")
-    if name == "coco" and argument:
+    kind, file = parse_masks(masks)
+    if weights is not None and kind is not MaskKind.MASKRCNN:
+        raise LabelgenError(f"weights: only masks maskrcnn takes weights, not masks {masks}", parameter="weights")
+    if file is not None:
         from labelgen.masks.coco import CocoMasks
 
-        return CocoMasks(argument, score_threshold=score_threshold, frame_wh=frame_wh)
-    if name == "background" and not argument:
+        return CocoMasks(file, score_threshold=score_threshold, frame_wh=frame_wh)
+    if kind is MaskKind.BACKGROUND:
         from labelgen.masks.background.source import BackgroundMasks
 
         return BackgroundMasks(road_mask=road_mask, score_threshold=score_threshold)
-    if name == "maskrcnn" and not argument:
-        from labelgen.masks.maskrcnn import MaskRcnnMasks
+    from labelgen.masks.maskrcnn import MaskRcnnMasks
 
-        return MaskRcnnMasks(weights=weights, score_threshold=score_threshold, device=device)
-    raise LabelgenError(f"--masks {spec}: unknown mask source; use one of {', '.join(MASK_SOURCES)}")
-
-
-_PRIME_STRIDE = 10
+    return MaskRcnnMasks(weights=weights, score_threshold=score_threshold, device=device)
 
 
 def prime_masks(source: MaskSource, frames: FrameSource) -> None:
-    """Let a source learn from the beginning of a video, if it wants to; decodes no more than it may choose from."""
+    """Prime a source with the beginning of a video, where it asks for that; decode no more than it needs.
+
+    Args:
+        source: what to prime.
+        frames: the video; not a live stream, which cannot be read a second time.
+    """
     limit = source.prime_frames
     if limit:
-        coming = frames.frames(lambda number: number % _PRIME_STRIDE == 0)
-        source.prime(frame.image for frame in takewhile(lambda frame: frame.number < limit, coming))
+        sampled = frames.frames(lambda number: number % _PRIME_STRIDE == 0)
+        source.prime(frame.image for frame in takewhile(lambda frame: frame.number < limit, sampled))
 
 
 def masked_frames(
@@ -129,15 +172,15 @@ def masked_frames(
     asked: Callable[[int], bool] = lambda number: True,
     group_of: Callable[[int], int] = lambda number: 0,
 ) -> Iterator[tuple[Frame, InstanceMasks | None]]:
-    """Taken frames with their masks, in order; the source observes what it wants on the way.
+    """Yield the taken frames with their masks, in order; pass to the source what it observes on the way.
 
     Args:
         frames: the video.
         source: primed before, see `prime_masks`.
-        taken: whether a frame of this number is wanted.
-        asked: whether the masks of a taken frame are wanted; None stands for them otherwise.
-        group_of: frames of different groups are never given to the source together, so that what a group's frames
-            give does not depend on whether the ones before it were asked for.
+        taken: whether to yield the frame of this number.
+        asked: whether to find the masks of a taken frame; it is yielded with None otherwise.
+        group_of: group of a frame number. Frames of different groups never share a call of `MaskSource.masks`, so that
+            the masks of a group do not depend on whether earlier groups were asked for.
     """
     stride = source.every_frame
     batch: list[Frame] = []
@@ -147,21 +190,21 @@ def masked_frames(
         if not taken(frame.number):
             continue
         if not asked(frame.number):
-            yield from _ask(source, batch)
+            yield from _find_masks(source, batch)
             batch = []
             yield frame, None
             continue
         if batch and group_of(batch[0].number) != group_of(frame.number):
-            yield from _ask(source, batch)
+            yield from _find_masks(source, batch)
             batch = []
         batch.append(frame)
         if len(batch) >= source.batch_size:
-            yield from _ask(source, batch)
+            yield from _find_masks(source, batch)
             batch = []
-    yield from _ask(source, batch)
+    yield from _find_masks(source, batch)
 
 
-def _ask(source: MaskSource, batch: list[Frame]) -> Iterator[tuple[Frame, InstanceMasks]]:
+def _find_masks(source: MaskSource, batch: list[Frame]) -> Iterator[tuple[Frame, InstanceMasks]]:
     if batch:
         images, numbers, names = zip(*((frame.image, frame.number, frame.name) for frame in batch), strict=True)
         yield from zip(batch, source.masks(images, numbers, names), strict=True)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.masks.background.sorting_network import in_order
+from labelgen.masks.background.sorting_network import sort_samples
 
 __all__ = ["Backdrop"]
 
@@ -36,5 +36,5 @@ class Backdrop:
         stack = np.stack([np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), dtype=np.uint8) for packed in chosen])
         out = np.empty(stack.shape[1:], dtype=np.uint8)
         for row in range(0, len(out), _BAND):
-            out[row : row + _BAND] = in_order(stack[:, row : row + _BAND])[len(chosen) // 2]
+            out[row : row + _BAND] = sort_samples(stack[:, row : row + _BAND])[len(chosen) // 2]
         return out

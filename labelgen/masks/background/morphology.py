@@ -1,4 +1,4 @@
-"""Small helpers for binary pictures, (h, w) uint8 of 0 and 1."""
+"""Helpers for binary masks, (h, w) uint8 of 0 and 1, and for boxes around what is set."""
 
 from __future__ import annotations
 
@@ -8,49 +8,46 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MARGIN_PX", "Box", "Mask", "boxes_around", "disc", "filled", "hull", "morph"]
+__all__ = ["MARGIN_PX", "Box", "Mask", "disc", "disjoint_boxes", "fill_holes", "fill_hull", "morph"]
 
 Mask = NDArray[np.uint8]
+Box = tuple[slice, slice]
+"""Rows and columns of a part of an image."""
+
+MARGIN_PX = 8
+"""Least distance between a marked pixel and the sides of its box, px, except at the frame's border."""
 
 
 def disc(size: float) -> Mask:
-    """A disc as structuring element, as wide as the next odd number of px."""
+    """Return a disc as structuring element, its diameter the next odd number of px from `size` on."""
     size = max(1, int(size)) | 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
 def morph(mask: NDArray[Any], operation: int, size: float) -> Mask:
-    """A morphological operation of OpenCV's with a disc."""
+    """Apply one of OpenCV's morphological operations (`cv2.MORPH_...`) with a disc of this diameter, px."""
     return np.asarray(cv2.morphologyEx(mask, operation, disc(size)), dtype=np.uint8)
 
 
-def filled(mask: Mask) -> Mask:
-    """A mask with its holes filled."""
+def fill_holes(mask: Mask) -> Mask:
+    """Return a mask (h, w) with its holes filled."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return _drawn(mask, contours)
+    return _fill_contours(mask, contours)
 
 
-def hull(mask: Mask) -> Mask:
-    """The convex hull of all that is set, filled; something must be set."""
-    return _drawn(mask, [cv2.convexHull(cv2.findNonZero(mask)).reshape(-1, 1, 2)])
+def fill_hull(mask: Mask) -> Mask:
+    """Return the filled convex hull of a mask (h, w) with at least one pixel set."""
+    return _fill_contours(mask, [cv2.convexHull(cv2.findNonZero(mask)).reshape(-1, 1, 2)])
 
 
-def _drawn(like: Mask, contours: Any) -> Mask:
+def _fill_contours(like: Mask, contours: Any) -> Mask:
     out = np.zeros_like(like)
     cv2.drawContours(out, contours, -1, 1, cv2.FILLED)
     return out
 
 
-Box = tuple[slice, slice]
-"""Rows and columns of a part of a picture."""
-
-
-MARGIN_PX = 8
-"""There are at least so many px between what a box is around and its sides, except where the frame ends."""
-
-
-def boxes_around(marked: NDArray[np.uint8]) -> list[Box]:
-    """Disjoint boxes that together hold all that is marked.
+def disjoint_boxes(marked: NDArray[np.uint8]) -> list[Box]:
+    """Return disjoint boxes that together hold all marked pixels, each with a margin of `MARGIN_PX`.
 
     Args:
         marked: (H, W, C) uint8; a pixel is marked where one of its channels is not 0.
@@ -66,27 +63,33 @@ def boxes_around(marked: NDArray[np.uint8]) -> list[Box]:
         return []
     near = cv2.dilate((tiles > 0).view(np.uint8), np.ones((3, 3), np.uint8))
     _, _, stats, _ = cv2.connectedComponentsWithStats(near)
-    found = _disjoint([(x, y, x + w, y + h) for x, y, w, h, _ in stats[1:].tolist()])
+    tile_boxes = _merge_overlapping([(x, y, x + w, y + h) for x, y, w, h, _ in stats[1:].tolist()])
     return [
         (
             slice(y0 * MARGIN_PX, min(y1 * MARGIN_PX, height)),
             slice(x0 * MARGIN_PX, min(x1 * MARGIN_PX, width)),
         )
-        for x0, y0, x1, y1 in found
+        for x0, y0, x1, y1 in tile_boxes
     ]
 
 
-def _disjoint(boxes: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
-    """Boxes x0, y0, x1, y1, joined until none overlaps another."""
-    done: list[tuple[int, int, int, int]] = []
+def _merge_overlapping(boxes: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
+    """Join boxes x0, y0, x1, y1 until none overlaps another."""
+    disjoint: list[tuple[int, int, int, int]] = []
     while boxes:
         box = boxes.pop(0)
-        hit = next(
-            (b for b in done if max(b[0], box[0]) < min(b[2], box[2]) and max(b[1], box[1]) < min(b[3], box[3])), None
+        overlapping = next(
+            (
+                other
+                for other in disjoint
+                if max(other[0], box[0]) < min(other[2], box[2]) and max(other[1], box[1]) < min(other[3], box[3])
+            ),
+            None,
         )
-        if hit is None:
-            done.append(box)
+        if overlapping is None:
+            disjoint.append(box)
             continue
-        done.remove(hit)
-        boxes.append((min(hit[0], box[0]), min(hit[1], box[1]), max(hit[2], box[2]), max(hit[3], box[3])))
-    return done
+        disjoint.remove(overlapping)
+        (x0, y0, x1, y1), (u0, v0, u1, v1) = overlapping, box
+        boxes.append((min(x0, u0), min(y0, v0), max(x1, u1), max(y1, v1)))
+    return disjoint

@@ -1,4 +1,4 @@
-"""Masks of moving vehicles seen by a fixed camera, without any weights: a background model and clean-up."""
+"""Masks of moving vehicles of a fixed camera by background subtraction; no network weights are needed."""
 
 from __future__ import annotations
 
@@ -18,29 +18,27 @@ from labelgen.masks.instances import InstanceMasks, crop_mask
 
 __all__ = ["WORKING_WIDTH", "BackgroundMasks"]
 
-# All frames are worked on at this width: the clean-up works in pixels, and silhouettes gain nothing from more. What
-# would become lower or higher than this is stretched to it: slivers have no silhouettes, but must not fill the memory.
 WORKING_WIDTH = 640
+"""Width to which all frames are resized, px: the thresholds are in px, and a larger width improves no silhouette."""
+# Heights beyond these limits are resized to them, so that extreme aspect ratios do not fill the memory.
 _WORKING_HEIGHTS = (16, 2560)
-# A vehicle stands on the lowest part of its silhouette, of this share of its height.
-_FOOT_SHARE = 0.2
-_FOOT_MARGIN_SHARE = 0.01
+# The contact point of a vehicle lies in the lowest part of its silhouette, of this share of its height.
+_CONTACT_SHARE = 0.2
+# The road mask is dilated by this share of its width: its near border is rarely drawn along the tyres.
+_ROAD_MARGIN_SHARE = 0.01
 
 
 class BackgroundMasks:
-    """Silhouettes of what differs from the empty scene; all of class VEHICLE.
+    """A `labelgen.masks.source.MaskSource`: silhouettes of what differs from the empty scene, all of class VEHICLE.
 
-    The score is the share of a silhouette's pixels that differ from the scene: the rest was filled in.
+    The score is the share of a silhouette's pixels that differ from the empty scene; the others were filled in.
 
     Args:
-        road_mask: (H, W[, C]) of the frame's size, thresholded at half range; vehicles must stand on it.
+        road_mask: (H, W[, C]) of the frame's size, thresholded at half range; contact points must lie on it. None
+            keeps all silhouettes.
         score_threshold: silhouettes with a lower score are left out.
-
-    Raises:
-        DataError: a frame of another size than the road mask.
     """
 
-    name = "background"
     every_frame = 5
     prime_frames = 3000
     batch_size = 1
@@ -50,15 +48,23 @@ class BackgroundMasks:
         self._road = None if road_mask is None else binary_mask(road_mask)
         self._score_threshold = score_threshold
         self._model = BackgroundModel()
-        self._feet: NDArray[np.bool_] | None = None
+        self._dilated_road: NDArray[np.bool_] | None = None
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
-        """Learn the empty scene from the beginning of the video, best from a minute or more of it."""
-        self._model.prime(self._small(frame) for frame in frames)
+        """Learn the empty scene from the beginning of a video, a minute or more; see `MaskSource.prime`.
+
+        Raises:
+            DataError: a frame is not of the road mask's size.
+        """
+        self._model.prime(self._resize(frame) for frame in frames)
 
     def observe(self, image: NDArray[np.uint8]) -> None:
-        """Follow the scene's light by one frame (H, W, 3) uint8 BGR."""
-        self._model.observe(self._small(image))
+        """Update the empty scene with one frame; see `MaskSource.observe`.
+
+        Raises:
+            DataError: the frame is not of the road mask's size.
+        """
+        self._model.observe(self._resize(image))
 
     def masks(
         self,
@@ -66,10 +72,14 @@ class BackgroundMasks:
         frame_numbers: Sequence[int] | None = None,
         file_names: Sequence[str] | None = None,
     ) -> list[InstanceMasks]:
-        """The silhouettes in each frame against the scene as observed so far; see `MaskSource.masks`."""
+        """Return the silhouettes in each image; see `MaskSource.masks`.
+
+        Raises:
+            DataError: an image is not of the road mask's size.
+        """
         return [self._masks_of(image) for image in images]
 
-    def _small(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _resize(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         h, w = image.shape[:2]
         if self._road is not None and self._road.shape != (h, w):
             raise DataError(
@@ -80,12 +90,12 @@ class BackgroundMasks:
         size = (WORKING_WIDTH, min(max(low, round(h * WORKING_WIDTH / w)), high))
         if size == (w, h):
             return image
-        how = cv2.INTER_AREA if w > WORKING_WIDTH else cv2.INTER_CUBIC
-        return np.asarray(cv2.resize(image, size, interpolation=how), dtype=np.uint8)
+        interpolation = cv2.INTER_AREA if w > WORKING_WIDTH else cv2.INTER_CUBIC
+        return np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=np.uint8)
 
     def _masks_of(self, image: NDArray[np.uint8]) -> InstanceMasks:
         frame_wh = (image.shape[1], image.shape[0])
-        small = self._small(image)
+        small = self._resize(image)
         if self._model.background is None:
             return InstanceMasks.empty(frame_wh)
         aligned, shift = self._model.align(small)
@@ -94,7 +104,7 @@ class BackgroundMasks:
             if silhouette.score < self._score_threshold:
                 continue
             part = _to_frame(silhouette, shift, (small.shape[1], small.shape[0]), frame_wh)
-            if part is None or not self._stands_on_road(*part):
+            if part is None or not self._is_on_road(*part):
                 continue
             origins.append(part[0])
             crops.append(part[1])
@@ -107,23 +117,22 @@ class BackgroundMasks:
             np.array(scores, dtype=np.float32),
         )
 
-    def _stands_on_road(self, origin: tuple[int, int], crop: NDArray[np.bool_]) -> bool:
+    def _is_on_road(self, origin: tuple[int, int], crop: NDArray[np.bool_]) -> bool:
         if self._road is None:
             return True
-        if self._feet is None:
-            # The near border of a mask is rarely drawn along the tyres.
-            size = 2 * round(_FOOT_MARGIN_SHARE * self._road.shape[1]) + 1
-            self._feet = cv2.dilate(self._road.view(np.uint8), np.ones((size, size), np.uint8)) > 0
+        if self._dilated_road is None:
+            size = 2 * round(_ROAD_MARGIN_SHARE * self._road.shape[1]) + 1
+            self._dilated_road = cv2.dilate(self._road.view(np.uint8), np.ones((size, size), np.uint8)) > 0
         h = crop.shape[0]
-        top = h - max(1, round(_FOOT_SHARE * h))
+        top = h - max(1, round(_CONTACT_SHARE * h))
         rows, columns = np.nonzero(crop[top:])
-        return bool(self._feet[origin[1] + top + int(rows.mean()), origin[0] + int(np.median(columns))])
+        return bool(self._dilated_road[origin[1] + top + int(rows.mean()), origin[0] + int(np.median(columns))])
 
 
 def _to_frame(
     silhouette: Silhouette, shift: tuple[int, int], small_wh: tuple[int, int], frame_wh: tuple[int, int]
 ) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
-    """Origin and crop in the frame of a silhouette found in a shrunken and shifted one."""
+    """Map a silhouette of a resized and shifted image to the frame: origin and crop; None where it lies outside."""
     x, y = (o - s for o, s in zip(silhouette.origin, shift, strict=True))
     h, w = silhouette.crop.shape
     cut = silhouette.crop[max(0, -y) : small_wh[1] - y, max(0, -x) : small_wh[0] - x]
@@ -141,7 +150,7 @@ def _to_frame(
     at_border = cv2.warpAffine(
         cut.astype(np.uint8) * 255, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    # A vehicle cut by the frame reaches its border.
+    # The silhouette of a vehicle that the frame cuts reaches the frame's border.
     for axis, (start, stop, limit) in enumerate(zip(low, high, frame_wh, strict=True)):
         for side, touches in ((0, start == 0), (-1, stop == limit)):
             if touches:

@@ -200,7 +200,7 @@ def test_weights_that_cannot_be_downloaded(labelgen, clip: Path, tmp_path: Path)
     """A proxy that refuses stands for a machine without a connection."""
     proxies = dict.fromkeys(("http_proxy", "https_proxy", "HTTPS_PROXY", "HTTP_PROXY"), "http://127.0.0.1:9")
     done = labelgen("bcs-masks", clip, "--out", "out", TORCH_HOME=str(tmp_path / "torch"), **proxies)
-    _refused(done, "--weights FILE", "--masks background", "--masks coco:FILE")
+    _refused(done, "as weights", "masks background", "coco:FILE")
     assert not (tmp_path / "out").exists()
 
 

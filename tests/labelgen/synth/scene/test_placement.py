@@ -1,9 +1,8 @@
-"""What stands beside made-up roads, and what cameras do to whole frames: truth must not notice, or respect it."""
+"""Props beside made-up roads: where they stand, what they hide, and that truth respects them."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,24 +14,25 @@ from labelgen.synth.scene.placement import KINDS, Prop, place_props
 from labelgen.synth.scene.props import ALONG, AT
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import carriageways, procedural_scene, visible_range
-from labelgen.synth.scene.static_layer import NO_SHADE, draw_props, draw_shade, without_view_blockers
+from labelgen.synth.scene.static_layer import NO_SHADE, draw_props, without_view_blockers
 from labelgen.synth.scene.triangles import box
 from labelgen.synth.sensor.sensor import Caption, Sensor, make_sensor
-from labelgen.synth.shading.lighting import Weather, make_light, varied_light
+from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.session import write_session
 from labelgen.synth.vehicle.vehicle import make_vehicle
 
-SIZE = (640, 360)
-CAMERA = look_at_road(7.0, (25.0, 0.5), 700.0, SIZE)
+SIZE = (480, 270)
+CAMERA = look_at_road(7.0, (25.0, 0.5), 525.0, SIZE)
 
 
-def light(weather: Weather = Weather.DAY):
-    return make_light(weather, np.random.default_rng(0))
+def light() -> Light:
+    return make_light(Weather.DAY, np.random.default_rng(0))
 
 
-def renderer_behind(props: list[Prop], **more) -> tuple[Renderer, np.ndarray]:
-    image, static_layer = draw_props(np.full((360, 640, 3), 90, np.float32), CAMERA, light(), props, NO_SHADE)
+def renderer_behind(props: list[Prop], sensor: Sensor | None = None) -> tuple[Renderer, np.ndarray]:
+    image, static_layer = draw_props(np.full((270, 480, 3), 90, np.float32), CAMERA, light(), props, NO_SHADE)
     background = image.astype(np.uint8)
+    more = {} if sensor is None else {"sensor": sensor}
     return Renderer(CAMERA, background, light(), seed=0, static_layer=static_layer, **more), background
 
 
@@ -40,22 +40,13 @@ def car(x: float, y: float) -> Placed:
     return Placed(1, make_vehicle("saloon", np.random.default_rng(0)), np.array([x, y]), -1, 20.0)
 
 
-def test_every_kind_stands_somewhere() -> None:
-    seen = set()
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        seen |= {p.kind for p in place_props(procedural_scene(rng, SIZE), 1.0, rng)}
-        if seen == set(KINDS):
-            break
-    assert seen == set(KINDS)
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_nothing_stands_on_a_lane_or_in_front_of_much_of_the_road(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = procedural_scene(rng, SIZE)
     props = place_props(scene, 1.0, rng)
     for prop in props:
+        assert prop.kind in KINDS
         low = prop.triangles.corners[prop.triangles.corners[..., 2] < 4.5]
         for y0, y1, _ in carriageways(scene):
             assert not ((low[:, 1] > y0) & (low[:, 1] < y1)).any(), prop.kind
@@ -74,33 +65,34 @@ def test_nothing_stands_on_a_lane_or_in_front_of_much_of_the_road(seed: int) -> 
         ((12.0, 3.0, 0.0), (24.0, 3.2, 2.5), None),
     ],
 )
-def test_things_before_a_vehicle_hide_it_and_those_behind_do_not(low, high, hides) -> None:
+def test_props_before_a_vehicle_hide_it_and_those_behind_do_not(
+    low: tuple[float, ...], high: tuple[float, ...], hides: bool | None
+) -> None:
     props = [Prop("wall", box(low, high, (0.5, 0.1, 0.1), piece_m=1.0))]
     renderer, background = renderer_behind(props)
-    place = car(25.0, 0.0) if hides is not None else car(18.0, 5.0)
-    alone = Renderer(CAMERA, background, light(), seed=0).truth([place])[0]
-    seen = renderer.truth([place])
+    placed = car(25.0, 0.0) if hides is not None else car(18.0, 5.0)
+    alone = Renderer(CAMERA, background, light(), seed=0).truth([placed])[0]
+    (behind,) = renderer.truth([placed])
     if hides is False:
-        assert seen[0].visible == 1
-        assert np.array_equal(seen[0].mask, alone.mask)
+        assert behind.visible == 1
+        np.testing.assert_array_equal(behind.mask, alone.mask)
         return
-    # What is not in the mask any more shows the picture behind, save for noise and the lens's blur.
-    assert seen[0].visible < 1
-    frame, drawn = renderer.frame([place])
+    # A pixel that left the mask shows the background, save for noise and the lens's blur.
+    assert behind.visible < 1
+    frame, drawn = renderer.frame([placed])
     x, y = drawn[0].origin_px
-    gone = alone.mask & ~drawn[0].mask
-    assert gone.sum() > 30
-    h, w = gone.shape
+    hidden = alone.mask & ~drawn[0].mask
+    assert hidden.sum() > 20
+    h, w = hidden.shape
     cover = renderer.static_layer.cover[y : y + h, x : x + w]
-    assert (cover[gone] >= 128).all()
+    assert (cover[hidden] >= 128).all()
     assert not (drawn[0].mask & (cover >= 128)).any()
-    inner = gone & (cover == 255)
     change = np.abs(frame[y : y + h, x : x + w].astype(int) - background[y : y + h, x : x + w])
-    assert change[inner].mean() < 6
+    assert change[hidden & (cover == 255)].mean() < 6
 
 
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "gantry"])
-def test_every_kind_is_drawn_and_stands_on_the_ground(kind: str) -> None:
+def test_every_kind_is_a_mesh_that_stands_on_the_ground(kind: str) -> None:
     rng = np.random.default_rng(1)
     triangles = ALONG[kind](15.0, 40.0, 5.0, 1, rng) if kind in ALONG else AT[kind](25.0, 5.0, 1, rng)
     assert len(triangles) > 3
@@ -109,25 +101,9 @@ def test_every_kind_is_drawn_and_stands_on_the_ground(kind: str) -> None:
     assert (triangles.albedo >= 0).all()
     assert (triangles.albedo <= 1).all()
     np.testing.assert_allclose(np.linalg.norm(triangles.normals, axis=1)[triangles.leafy], 1, atol=1e-4)
-    renderer, background = renderer_behind([Prop(kind, triangles)])
-    shown = renderer.static_layer.cover > 128
-    assert shown.sum() > 50
-    assert np.abs(background.astype(int) - 90).max(axis=2)[shown].mean() > 5
 
 
-def test_shadows_of_things_darken_road_and_vehicles() -> None:
-    scene = procedural_scene(np.random.default_rng(0), SIZE)
-    sun = replace(light(), sun_direction=np.array([0.0, 0.6, 0.8]))
-    _, high, _ = carriageways(scene)[0]
-    rail = Prop("wall", box((10, high + 1, 0), (60, high + 1.2, 6), (0.3, 0.3, 0.3)))
-    shade = draw_shade(scene, sun, [rail])
-    x = np.array([[30.0]], np.float32)
-    assert shade.at(shade.sun, x, np.array([[high - 1]], np.float32)).item() < 0.1
-    assert shade.at(shade.sun, x, np.array([[high + 3]], np.float32)).item() > 0.9
-    assert shade.at(shade.sun, np.array([[900.0]], np.float32), x).item() == 1
-
-
-def test_the_same_seed_gives_the_same_picture() -> None:
+def test_a_seed_determines_the_picture() -> None:
     pictures = []
     for _ in range(2):
         rng = np.random.default_rng(7)
@@ -144,29 +120,19 @@ def test_a_camera_changes_pixels_and_no_truth() -> None:
     captions = (Caption("{clock} CAM", (0.02, 0.1), 0.05, 0, True, True),)
     plain, _ = renderer_behind([])
     faulty, _ = renderer_behind([], sensor=Sensor(0.5, 0.005, 1.0, 0.5, 28, captions, 3600.0))
-    a, b = plain.frame([car(25.0, 0.0)]), faulty.frame([car(25.0, 0.0)])
-    assert np.array_equal(a[1][0].mask, b[1][0].mask)
+    placed = car(25.0, 0.0)
+    a, b = plain.frame([placed]), faulty.frame([placed])
+    np.testing.assert_array_equal(a[1][0].mask, b[1][0].mask)
     assert not np.array_equal(a[0], b[0])
-    later, _ = faulty.frame([car(25.0, 0.0)], time_s=5.0)
+    # Between two times only the burnt-in clock differs.
+    later, _ = faulty.frame([placed], time_s=5.0)
     rows = np.flatnonzero((later != b[0]).any(axis=(1, 2)))
     assert len(rows)
-    assert rows.max() < 0.15 * 360
-
-
-def test_air_and_camera_change_grey_levels_as_named() -> None:
-    base = light()
-    radiance = np.array([[0.02, 0.02, 0.05], [0.4, 0.2, 0.2]], np.float32)
-    spread = np.ptp(base.grey_levels(radiance))
-    grey = replace(base, saturation=0.0).grey_levels(radiance)
-    np.testing.assert_allclose(grey, grey[:, :1] * np.ones(3), atol=1)
-    assert np.ptp(replace(base, contrast=0.6).grey_levels(radiance)) < 0.75 * spread
-    far = replace(base, haze_per_m=0.02).through_air(radiance, np.array([[100.0], [100.0]], np.float32))
-    assert np.ptp(base.grey_levels(far)) < 0.5 * spread
-    assert replace(base, lift=0.1).grey_levels(np.zeros((1, 3))).min() > 20
+    assert rows.max() < 0.15 * SIZE[1]
 
 
 def test_motorcycles_have_their_own_category(tmp_path: Path) -> None:
-    write_session(tmp_path, duration_s=2, fps=2, size_wh=SIZE, seed=4, kinds=["motorcycle"], per_minute=40)
+    write_session(tmp_path, duration_s=2, fps=2, size_wh=(320, 180), seed=4, kinds=["motorcycle"], per_minute=40)
     data = json.loads((tmp_path / "truth" / "session0_center" / "masks.json").read_text(encoding="utf-8"))
     assert {a["category_id"] for a in data["annotations"]} == {4}
     assert {"id": 4, "name": "motorcycle"} in data["categories"]
