@@ -1,1 +1,3 @@
-"""Data manifests, read by `labelgen.datasets.manifest`: one TOML per data set."""
+"""Data manifests: one TOML file per data set, read by `labelgen.datasets.manifest`."""
+
+from __future__ import annotations

@@ -1,10 +1,11 @@
 """BoxCars116k: vehicle crops with 3D boxes in full-frame pixels.
 
-Layout (facts checked on the data set): dataset.pkl and json_data/dataset.json hold the same
-`{cameras: {name: {vp1, vp2, vp3, pp}}, samples: [{camera, to_camera, annotation, instances: [...]}]}`; crops are
-in images/ or, JPEG-encoded, in atlas.pkl[vehicle][instance]. Crop pixels are frame pixels minus 3DBB_offset.
+Layout, checked on the data set itself: dataset.pkl and json_data/dataset.json hold the same
+`{cameras: {name: {vp1, vp2, vp3, pp}}, samples: [{camera, to_camera, annotation, instances: [...]}]}`. Crops are image
+files in images/, or JPEG bytes in atlas.pkl[vehicle][instance]. Crop pixels are frame pixels minus `3DBB_offset`.
 
-Source: Sochor et al., IEEE T-ITS 2019.
+Source: Sochor, Spanhel, Herout, "BoxCars: Improving Fine-Grained Recognition of Vehicles Using 3-D Bounding Boxes in
+Traffic Surveillance", IEEE T-ITS 2019.
 """
 
 from __future__ import annotations
@@ -35,13 +36,14 @@ class Instance:
     """One crop of one vehicle.
 
     Args:
-        vehicle, number: its place in the data set and in the atlas.
-        path: of its crop below images/.
-        camera: name of its camera.
+        vehicle: index of the vehicle in the data set and in the atlas.
+        number: index of the crop among those of its vehicle.
+        path: path of the crop below images/.
+        camera: name of the camera.
         to_camera: whether the vehicle drives towards the camera.
-        vertices_px: (8, 2) the 3D box, frame px; None where it is damaged.
-        offset_px: (2,) frame px of the crop's first pixel.
-        problem: what is wrong with the entry, or "".
+        vertices_px: (8, 2) vertices of the 3D box, frame px; NaN where the entry is damaged.
+        offset_px: (2,) frame px (x, y) of the crop's first pixel; NaN where the entry is damaged.
+        problem: what is wrong with the entry; empty where nothing is.
     """
 
     vehicle: int
@@ -58,20 +60,22 @@ class BoxCars:
     """An opened BoxCars116k tree.
 
     Args:
-        root: its folder.
-        layout: from the data manifest.
-        split: name of the classification split to look up; None for none.
-        default_split: the one to look up without `split`, where the data set has it.
+        root: folder of the tree.
+        layout: `layout` of the data manifest.
+        split: name of the classification split to look up; None takes the default.
+        default_split: the classification split to look up without `split`, where the data set has it.
 
     Attributes:
-        annotations: path of the annotations that are read.
-        atlas: path of the atlas; None where crops come from image files.
-        split_name, splits: name of the classification split and path of the splits; None where none is used.
-        cameras, bad_cameras: the cameras by name, and what is wrong with those that are none.
-        vanishing_points: (3, 2) px by camera.
+        annotations: path of the annotations.
+        atlas: path of the atlas; None where crops are image files.
+        split_name: name of the classification split; None where none is used.
+        splits: path of the file of splits; None where none is used.
+        cameras: cameras by name.
+        bad_cameras: problem of each camera without a usable calibration, by name.
+        vanishing_points: (3, 2) vanishing points VP1, VP2, VP3, px, by camera.
 
     Raises:
-        DataError: wrong layout or damaged files.
+        DataError: wrong layout, damaged files, or an unknown split.
     """
 
     def __init__(
@@ -82,13 +86,16 @@ class BoxCars:
         if not present:
             raise DataError(
                 f"{root}: not a BoxCars116k tree, neither {' nor '.join(layout['annotations'])} is in it; "
-                "give the folder that holds them as --root"
+                "give the folder that holds them",
+                parameter="root",
             )
         self.annotations = present[0]
         self.images = root / layout["images"]
         self.atlas = None if self.images.is_dir() else root / layout["atlas"]
         if self.atlas is not None and not self.atlas.is_file():
-            raise DataError(f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it")
+            raise DataError(
+                f"{root}: no pictures, neither {layout['images']}/ nor {layout['atlas']} is in it", parameter="root"
+            )
         self._atlas: Any = load_pickle(self.atlas) if self.atlas is not None else []
         data = _load_annotations(self.annotations)
         self._samples: list[Any] = data["samples"]
@@ -108,16 +115,16 @@ class BoxCars:
         self.splits = None if self.split_name is None else path
 
     def __getstate__(self) -> dict[str, Any]:
-        # Worker processes get their instances with the work and need only what reads crops.
+        # Worker processes get their instances with their work; they only read crops.
         return {**self.__dict__, "_samples": [], "_splits": {}}
 
     @property
     def from_atlas(self) -> bool:
-        """Whether crops come from the atlas, which one process has to hold in memory."""
+        """Whether crops come from the atlas, which the process holds in memory as a whole."""
         return self.atlas is not None
 
     def instances(self) -> Iterator[Instance]:
-        """All instances, in the order of the data set."""
+        """Yield all instances in the order of the data set; a damaged entry is one instance with a `problem`."""
         for vehicle, sample in enumerate(self._samples):
             instances = _listed(sample.get("instances")) if isinstance(sample, Mapping) else None
             if instances is None:
@@ -127,30 +134,31 @@ class BoxCars:
                 yield _instance(vehicle, number, sample, entry)
 
     def split_of(self, vehicle: int) -> Split:
-        """Classification split of a vehicle; NONE where it is in none."""
+        """Return the part of the classification split that a vehicle is in; NONE where it is in none."""
         return self._splits.get(vehicle, Split.NONE)
 
     def read_crop(self, instance: Instance) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 BGR crop.
+        """Read a crop, (H, W, 3) uint8 BGR.
 
         Raises:
-            DataError: missing or no picture.
+            DataError: the crop is missing or not an image.
         """
-        # Messages go into the shards, which are the same wherever the data set lies: no paths of this machine.
+        # The messages become part of the shards, which must not depend on where the data set lies.
         if self.atlas is None:
             return read_image(self.images / instance.path, label=f"{self.images.name}/{instance.path}")
-        what = f"{self.atlas.name}[{instance.vehicle}][{instance.number}]"
+        label = f"{self.atlas.name}[{instance.vehicle}][{instance.number}]"
         try:
             encoded = self._atlas[instance.vehicle][instance.number]
         except (LookupError, TypeError):
-            raise DataError(f"{what}: not there") from None
+            raise DataError(f"{label}: not there") from None
         try:
-            return decode_image(np.frombuffer(encoded, dtype=np.uint8), what)
+            return decode_image(np.frombuffer(encoded, dtype=np.uint8), label)
         except (TypeError, ValueError, BufferError):
-            raise DataError(f"{what}: not an image") from None
+            raise DataError(f"{label}: not an image") from None
 
 
 def _load_annotations(path: Path) -> dict[str, Any]:
+    """Load `cameras` and `samples` from the pickle or the JSON file."""
     data: Any
     if path.suffix == ".pkl":
         data = load_pickle(path)
@@ -168,18 +176,18 @@ def _load_annotations(path: Path) -> dict[str, Any]:
 
 
 def _listed(value: Any) -> list[Any] | None:
-    """The items of a list in any of the forms that annotations have them in; None if it is none."""
+    """Return the items of a list, tuple or 1D array; None for anything else."""
     is_list = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1)
     return list(value) if is_list else None
 
 
 def _text(value: Any) -> str:
-    """Text that every file takes, from any name: keys of cameras may be numbers, and JSON may hold half characters."""
+    """Return a name as text that can be written to any file: names may be numbers or hold lone surrogates."""
     return str(value).encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
 
 
 def _points(value: Any, shape: tuple[int, ...]) -> Array | None:
-    """Finite coordinates of this shape, or None."""
+    """Return finite coordinates of this shape; None for anything else."""
     try:
         points = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -188,10 +196,10 @@ def _points(value: Any, shape: tuple[int, ...]) -> Array | None:
 
 
 def _vanishing_points(entry: Mapping[str, Any], camera: Camera) -> Array:
-    """(3, 2) vanishing points. The annotated boxes follow the data set's own VP3, not the derived one.
+    """Return (3, 2) vanishing points, px. The annotated boxes follow the data set's own VP3, not the derived one.
 
     Raises:
-        CalibrationError: VP3 is there and damaged.
+        CalibrationError: the data set's VP3 is damaged.
     """
     given = entry.get("vp3")
     vp3 = camera.vp3 if given is None else _points(given, (2,))
@@ -200,31 +208,34 @@ def _vanishing_points(entry: Mapping[str, Any], camera: Camera) -> Array:
     return np.stack([camera.vp1, camera.vp2, vp3])
 
 
-def _load_splits(path: Path, asked: str | None, default: str) -> tuple[str | None, dict[int, Split]]:
-    """Name of the split in use and the part of each vehicle; None and nothing where there is none."""
+def _load_splits(path: Path, split: str | None, default: str) -> tuple[str | None, dict[int, Split]]:
+    """Return the name of the split in use and the part of each vehicle; None and nothing where there is none."""
     if not path.is_file():
-        if asked:
-            raise DataError(f"--split {asked}: there is no {path}")
+        if split:
+            raise DataError(f"split {split}: there is no {path}", parameter="split")
         return None, {}
     data = load_pickle(path)
     known = data if isinstance(data, dict) else {}
-    name = asked or default
+    name = split or default
     if name not in known:
-        if asked:
-            raise DataError(f"--split {asked}: not in {path}; it has {', '.join(map(_text, known)) or 'none'}")
+        if split:
+            names = ", ".join(map(_text, known)) or "none"
+            raise DataError(f"split {split}: not in {path}; it has {names}", parameter="split")
         return None, {}
     try:
-        return name, {int(vehicle): split for part, split in _SPLITS.items() for vehicle, _ in known[name][part]}
+        return name, {int(vehicle): part for key, part in _SPLITS.items() for vehicle, _ in known[name][key]}
     except (LookupError, TypeError, ValueError, OverflowError):
         raise DataError(f"{path}: split {name!r} is not of the form train, validation, test") from None
 
 
 def _damaged(vehicle: int, number: int, problem: str) -> Instance:
-    nothing = np.full((8, 2), np.nan)
-    return Instance(vehicle, number, "", "", False, nothing, nothing[0], problem)
+    """Return an instance that only states a problem."""
+    vertices = np.full((8, 2), np.nan)
+    return Instance(vehicle, number, "", "", False, vertices, vertices[0], problem)
 
 
 def _instance(vehicle: int, number: int, sample: Mapping[str, Any], entry: Any) -> Instance:
+    """Read one entry of the annotations; a damaged one gives an instance with a `problem`."""
     try:
         path, camera, to_camera = str(entry["path"]), _text(sample["camera"]), bool(sample["to_camera"])
         vertices, offset = _points(entry["3DBB"], (8, 2)), _points(entry["3DBB_offset"], (2,))

@@ -1,11 +1,14 @@
-"""Ground truth of a BrnoCompSpeed recording."""
+"""Ground truth of a BrnoCompSpeed recording: speeds, lanes, measurement lines and surveyed distances.
+
+Source: Sochor et al., "Comprehensive Data Set for Automatic Single Camera Visual Speed Measurement", IEEE T-ITS 2018.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +17,6 @@ from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import DataError
 from labelgen.geometry.homography import Array
 
-if TYPE_CHECKING:
-    from labelgen.geometry.homography import Array
-
 __all__ = ["GroundTruth", "parse_ground_truth", "read_ground_truth"]
 
 
@@ -24,17 +24,19 @@ __all__ = ["GroundTruth", "parse_ground_truth", "read_ground_truth"]
 class GroundTruth:
     """G cars, measurement lines, lanes and surveyed segments of one recording.
 
+    Convention: a homogeneous line (a, b, c) holds the frame points (x, y) with a x + b y + c = 0.
+
     Args:
         fps: frames per second of the video.
         speeds_kmh: (G,) true speeds.
-        valid: (G,) whether the car counts.
-        last_times_s: (G,) video time of the last crossing.
+        valid: (G,) whether the car is scored.
+        last_times_s: (G,) time in the video at which the car crossed its last measurement line, s.
         in_lane: (G, L - 1) whether the car drove in that lane.
-        measurement_lines: (M, 3) homogeneous, M >= 2; the first one is crossed last.
-        lane_lines: (L, 3) homogeneous, borders of the L - 1 lanes, L >= 2.
-        invalid_lanes: numbers of lanes that do not count.
-        segments_px: (S, 2, 2) end points of surveyed segments.
-        segments_m: (S,) their lengths.
+        measurement_lines: (M, 3) homogeneous lines, M >= 2; the first one is crossed last.
+        lane_lines: (L, 3) homogeneous lines, the borders of the L - 1 lanes, L >= 2.
+        invalid_lanes: numbers of the lanes that are not scored.
+        segments_px: (S, 2, 2) end points (x, y) of surveyed segments, frame px.
+        segments_m: (S,) lengths of the surveyed segments.
     """
 
     fps: float
@@ -66,10 +68,13 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
 
 
 def parse_ground_truth(data: Any) -> GroundTruth:
-    """Ground truth from the contents of a `gt_data.pkl`.
+    """Convert the contents of a `gt_data.pkl`.
+
+    Args:
+        data: what `labelgen.datasets.safe_pickle.load_pickle` returns for the file.
 
     Raises:
-        DataError: not of the data set's layout.
+        DataError: the contents are not of the data set's layout.
     """
     try:
         return _parse(data)

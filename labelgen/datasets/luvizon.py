@@ -1,6 +1,7 @@
 """Ground truth of the Luvizon data set: one folder per video with vehicles.xml, lanes.xml and matrix.txt.
 
-Source: Luvizon, Nassu, Minetto, "A Video-Based System for Vehicle Speed Measurement in Urban Roadways", T-ITS 2017.
+Source: Luvizon, Nassu, Minetto, "A Video-Based System for Vehicle Speed Measurement in Urban Roadways",
+IEEE T-ITS 2017.
 """
 
 from __future__ import annotations
@@ -25,21 +26,23 @@ from labelgen.geometry.homography import Array, IntArray
 __all__ = ["LANES", "LuvizonVideo", "is_luvizon", "read_luvizon_video", "select_videos"]
 
 LANES = 3
+"""Number of lanes in every video."""
+
 _MEASURED_AREA = "measure"
 
 
 @dataclass(frozen=True, eq=False)
 class LuvizonVideo:
-    """V vehicles that count, in file order, and the lanes of one video.
+    """V scored vehicles, in file order, and the lanes of one video.
 
     Args:
-        name: folder and its parent, "subset01/video01".
-        lanes: (V,) lane number, 1 to 3.
-        frames: (V, 2) first and last frame of the radar's interval, both included.
+        name: the folder's parent and the folder, "subset01/video01".
+        lanes: (V,) lane numbers, 1 to 3.
+        frames: (V, 2) first and last frame of the speed measurement, both included.
         speeds_kmh: (V,) true speeds.
-        left_out: vehicles that do not count, by reason.
-        lane_areas: by lane number, the polygon in frame px.
-        homographies: (3, 3, 3) the publisher's own mapping from frame px to the road plane, one per lane.
+        left_out: number of vehicles that are not scored, by reason.
+        lane_areas: polygon of each lane, frame px, by lane number.
+        homographies: (3, 3, 3) the publisher's homographies from frame px to the road plane, one per lane.
     """
 
     name: str
@@ -57,44 +60,50 @@ class LuvizonVideo:
 def read_luvizon_video(folder: str | Path) -> LuvizonVideo:
     """Read the ground truth of one video.
 
+    Args:
+        folder: folder of the video.
+
     Raises:
-        DataError: a file is missing, not of its layout, or XML with a document type or entities of its own.
+        DataError: a file is missing or not of its layout, or its XML declares a document type.
     """
     folder = Path(folder)
-    vehicles, left_out = _vehicles(folder / "vehicles.xml")
+    layout = load_manifest("luvizon")["layout"]
+    vehicles, left_out = _vehicles(folder / layout["ground_truth"])
     return LuvizonVideo(
         name=f"{folder.resolve().parent.name}/{folder.resolve().name}",
         lanes=np.array([lane for lane, *_ in vehicles], dtype=np.int64),
         frames=np.array([frames for _, frames, _ in vehicles], dtype=np.int64).reshape(-1, 2),
         speeds_kmh=np.array([speed for *_, speed in vehicles], dtype=np.float64),
         left_out=dict(left_out),
-        lane_areas=_lane_areas(folder / "lanes.xml"),
-        homographies=_homographies(folder / "matrix.txt"),
+        lane_areas=_lane_areas(folder / layout["lanes"]),
+        homographies=_homographies(folder / layout["homographies"]),
     )
 
 
 def _videos(dataset: Path) -> list[str]:
-    return sorted(f"{path.parts[-3]}/{path.parts[-2]}" for path in dataset.glob("subset*/video*/vehicles.xml"))
+    layout = load_manifest("luvizon")["layout"]
+    files = dataset.glob(f"{layout['videos']}/{layout['ground_truth']}")
+    return sorted(f"{path.parts[-3]}/{path.parts[-2]}" for path in files)
 
 
 def is_luvizon(dataset: str | Path) -> bool:
-    """Whether a folder is laid out as the Luvizon data set."""
+    """Return whether a folder has the layout of the Luvizon data set."""
     return bool(_videos(Path(dataset)))
 
 
 def select_videos(dataset: str | Path, choice: str) -> list[str]:
-    """Names of videos, "subset01/video01".
+    """Return the names of the chosen videos, such as "subset01/video01".
 
     Args:
         dataset: folder of the subsets.
-        choice: "all"; "test" or "training", each subset's first half (the odd one with it) and the rest of those that
-            are there; or names with commas between.
+        choice: "all"; "test", the first half of each subset, rounded up; "training", the others; or names separated by
+            commas. Only videos in the folder are taken.
 
     Raises:
-        DataError: unknown video, or nothing left to score.
+        DataError: unknown video, or no video is left.
     """
     present = _videos(Path(dataset))
-    chosen = present
+    names = present
     if choice in ("test", "training"):
         totals: dict[str, int] = load_manifest("luvizon")["splits"]["test"]
         test = {
@@ -102,14 +111,14 @@ def select_videos(dataset: str | Path, choice: str) -> list[str]:
             for subset, total in totals.items()
             for number in range(1, (total + 1) // 2 + 1)
         }
-        chosen = [name for name in present if (name in test) == (choice == "test")]
+        names = [name for name in present if (name in test) == (choice == "test")]
     elif choice != "all":
-        chosen = list(dict.fromkeys(name.strip() for name in choice.split(",") if name.strip()))
-    unknown = [name for name in chosen if name not in present]
-    if unknown or not chosen:
-        missing, there = ", ".join(unknown) or repr(choice), ", ".join(present) or "none"
-        raise DataError(f"data set {dataset}: no video {missing}; there are {there}")
-    return chosen
+        names = list(dict.fromkeys(name.strip() for name in choice.split(",") if name.strip()))
+    unknown = [name for name in names if name not in present]
+    if unknown or not names:
+        missing, available = ", ".join(unknown) or repr(choice), ", ".join(present) or "none"
+        raise DataError(f"data set {dataset}: no video {missing}; there are {available}")
+    return names
 
 
 def _read(path: Path) -> bytes:
@@ -122,7 +131,7 @@ def _read(path: Path) -> bytes:
 
 
 def _parse_xml(path: Path) -> ElementTree.Element:
-    """Root of an XML file without a document type, so without entities that could grow or reach out."""
+    """Parse an XML file; refuse a document type, whose entities could fill the memory or read other files."""
     data = _read(path)
 
     def refuse(*_: Any) -> None:
@@ -142,6 +151,7 @@ def _is_true(element: ElementTree.Element, name: str) -> bool:
 
 
 def _vehicles(path: Path) -> tuple[list[tuple[int, tuple[int, int], float]], Counter[str]]:
+    """Read lane, frames and speed of the scored vehicles; count the others by reason."""
     root = _parse_xml(path)
     vehicles, left_out = [], Counter[str]()
     if not len(root):
@@ -178,8 +188,8 @@ def _vehicle(
 
 
 def _lane_areas(path: Path) -> dict[int, shapely.Polygon]:
-    """The lanes' polygons; where a file has measurement areas only, those."""
-    points: dict[bool, dict[int, list[tuple[float, float]]]] = {True: {}, False: {}}
+    """Read the polygon of each lane; that of its measurement area where a file has no others."""
+    corners_by_lane: dict[bool, dict[int, list[tuple[float, float]]]] = {True: {}, False: {}}
     for element in _parse_xml(path).iter():
         corners = [child for child in element if "x" in child.attrib and "y" in child.attrib]
         name = element.get("id", element.get("lane"))
@@ -190,16 +200,17 @@ def _lane_areas(path: Path) -> dict[int, shapely.Polygon]:
             lane = int(name)
         except ValueError as err:
             raise DataError(f"{path}: {err}") from None
-        points[_MEASURED_AREA not in element.tag.lower()].setdefault(lane, []).extend(polygon)
-    chosen = points[True] or points[False]
-    # The corners of a lane come in any order; lanes are convex.
-    areas = {lane: shapely.MultiPoint(corners).convex_hull for lane, corners in chosen.items() if 1 <= lane <= LANES}
+        corners_by_lane[_MEASURED_AREA not in element.tag.lower()].setdefault(lane, []).extend(polygon)
+    by_lane = corners_by_lane[True] or corners_by_lane[False]
+    # A file lists the corners of a lane in any order; lanes are convex.
+    areas = {lane: shapely.MultiPoint(corners).convex_hull for lane, corners in by_lane.items() if 1 <= lane <= LANES}
     if not areas or not all(isinstance(area, shapely.Polygon) for area in areas.values()):
         raise DataError(f"{path}: expected polygons of points with x and y, each in an element with a lane's id")
     return areas
 
 
 def _homographies(path: Path) -> Array:
+    """Read (3, 3, 3) homographies, one per lane."""
     try:
         rows = np.array([line.replace(",", " ").split() for line in _read(path).decode().splitlines() if line.strip()])
         matrices: NDArray[np.float64] = rows.astype(np.float64).reshape(LANES, 3, 3)

@@ -1,4 +1,4 @@
-"""Data manifests: where a data set lives, its layout, splits and exclusions. One TOML each in data_manifests/."""
+"""Data manifests: where a data set is looked for, its layout, splits and exclusions; one TOML file each."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ __all__ = ["find_root", "load_manifest"]
 
 
 def load_manifest(name: str) -> dict[str, Any]:
-    """A manifest by its name, for instance "boxcars116k".
+    """Load a manifest of data_manifests/.
+
+    Args:
+        name: file name without suffix, for instance "boxcars116k".
 
     Raises:
-        DataError: there is none of that name.
+        DataError: there is no manifest of that name.
     """
     try:
         text = files("data_manifests").joinpath(f"{name}.toml").read_text(encoding="utf-8")
@@ -26,17 +29,22 @@ def load_manifest(name: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def find_root(manifest: dict[str, Any], given: Path | None) -> Path:
-    """Folder of a data set: as given, from the environment, or in the manifest's places.
+def find_root(manifest: dict[str, Any], root: Path | None) -> Path:
+    """Find the folder of a data set.
+
+    Args:
+        manifest: see `load_manifest`.
+        root: the folder; None takes it from the manifest's environment variable, or the first of the manifest's places
+            that exists.
 
     Raises:
-        DataError: not there; says exactly what to set.
+        DataError: there is no such folder. The message says what to set.
     """
     title, variable = manifest["title"], manifest["environment"]
-    if given is not None:
-        if not given.is_dir():
-            raise DataError(f"--root {given}: no such folder; give the folder of {title}")
-        return given
+    if root is not None:
+        if not root.is_dir():
+            raise DataError(f"root {root}: no such folder; give the folder of {title}", parameter="root")
+        return root
     if os.environ.get(variable):
         root = Path(os.environ[variable]).expanduser()
         if not root.is_dir():
@@ -47,6 +55,7 @@ def find_root(manifest: dict[str, Any], given: Path | None) -> Path:
         if place.is_dir():
             return place
     raise DataError(
-        f"{title} not found: give --root DIR or set {variable}=DIR (looked in {', '.join(map(str, places))}); "
-        f"to get it, {manifest['obtain']}; or make a synthetic one with labelgen synth boxcars"
+        f"{title} not found: give its folder or set {variable}=DIR (looked in {', '.join(map(str, places))}); "
+        f"to get it, {manifest['obtain']}; or make a synthetic one with labelgen synth boxcars",
+        parameter="root",
     )

@@ -1,9 +1,11 @@
-"""Reading data sets that come as pickles, without trusting them.
+"""Load data sets that are published as pickles, without running code from them.
 
-A pickle is a program. Only the handful of constructors that plain data and NumPy arrays need are allowed, each
-through a stand-in of our own; anything else stops the reading before it is called. NumPy's own constructors are not
-called: a pickle may tell them that its bytes are pointers, or lie outside of the array. The stand-ins collect what an
-array is made of, and its bytes become an array of plain numbers or text after checking.
+Loading a pickle calls the functions that it names. Here only the constructors that plain data and NumPy arrays need
+are allowed, and each of them is replaced by a function of this module. Any other name stops the loading before
+anything is called. NumPy's own constructors are never called, because a pickle can make them take bytes for pointers.
+The replacements collect the parts of an array; its bytes become an array of numbers or text after they are checked.
+
+Source: the Python standard library, `pickle` ("Restricting Globals"); NumPy's `ndarray.__reduce__` (parts of an array).
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from labelgen.errors import DataError
 
 __all__ = ["load_pickle"]
 
-# Codes NumPy writes for types without pointers, names or parts, and "O" for Python objects.
+# Type codes of NumPy without pointers, names or fields, and "O" for Python objects.
 _PLAIN = re.compile(r"[<>|=]?(b1|[iu][1248]|f(2|4|8|12|16)|c(8|16|24|32)|[SU][1-9][0-9]{0,8}|O[48]?)")
 
 
@@ -38,7 +40,7 @@ class _DType:
         self.type: np.dtype[Any] = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
-        """Takes the byte order alone; alignment and flags follow from the type."""
+        """Set the byte order; alignment and flags follow from the type."""
         if not (isinstance(state, tuple) and len(state) == 8 and state[1] in ("<", ">", "|", "=")):
             raise DataError("an array's type is not described the way NumPy writes it")
         if any(part is not None for part in state[2:5]) or state[5] not in (-1, self.type.itemsize):
@@ -47,13 +49,13 @@ class _DType:
 
 
 class _Array:
-    """An array as the pickle describes it; `load_pickle` puts `content` in its place."""
+    """An array as the pickle describes it; `load_pickle` replaces it by its `content`."""
 
     __slots__ = ("content",)
     __hash__ = None  # type: ignore[assignment]  # as an array's
 
     def __init__(self, kind: Any, shape: Any, dtype: Any) -> None:
-        if not isinstance(kind, _StandIn) or kind.name != "ndarray" or shape != (0,):
+        if not isinstance(kind, _Replacement) or kind.name != "ndarray" or shape != (0,):
             raise DataError("an array is not built the way NumPy writes it")
         self.content: NDArray[Any] | None = None
 
@@ -68,7 +70,7 @@ class _Array:
 
 
 def _numbers(content: Any, dtype: Any, shape: Any, order: Any) -> NDArray[Any]:
-    """Array from raw bytes, of a plain type, every item a possible value of it."""
+    """Return an array of a plain type from raw bytes; refuse bytes that are no values of the type."""
     if isinstance(content, str):  # Python 2's bytes
         content = _latin1_bytes(content)
     if not isinstance(dtype, _DType) or dtype.type.kind == "O" or not isinstance(content, bytes | bytearray):
@@ -86,7 +88,7 @@ def _numbers(content: Any, dtype: Any, shape: Any, order: Any) -> NDArray[Any]:
 
 
 def _objects(content: Any, shape: Any) -> NDArray[Any]:
-    """Array of Python objects, from a list of them and nothing else."""
+    """Return an array of Python objects from a list of them."""
     if not isinstance(content, list) or len(content) != _item_count(shape):
         raise DataError("an array of objects is not filled with a list of its size")
     array = np.empty(len(content), dtype=object)
@@ -97,38 +99,38 @@ def _objects(content: Any, shape: Any) -> NDArray[Any]:
 
 def _item_count(shape: Any) -> int:
     if not isinstance(shape, tuple) or len(shape) > 32 or not all(type(n) is int and n >= 0 for n in shape):
-        raise DataError("an array's shape is no shape")
+        raise DataError("an array's shape is not a tuple of sizes")
     return math.prod(shape)
 
 
 def _scalar(dtype: Any, content: Any) -> Any:
-    """Stand-in for NumPy's: one number or text."""
+    """Replace NumPy's `scalar`: one number or text."""
     return _numbers(content, dtype, (1,), "C")[0]
 
 
 def _frombuffer(content: Any, dtype: Any, shape: Any, order: Any, axes: Any = None) -> NDArray[Any]:
-    """Stand-in for NumPy's, which protocol 5 uses."""
+    """Replace NumPy's `_frombuffer`, which protocol 5 uses."""
     if order == "K" and isinstance(axes, tuple):
         return _numbers(content, dtype, shape, "C").transpose(axes)
     return _numbers(content, dtype, shape, order)
 
 
 def _latin1_bytes(text: Any, encoding: Any = "latin1") -> bytes:
-    """Stand-in for `_codecs.encode`, which Python 3 calls to store bytes in old protocols."""
+    """Replace `_codecs.encode`, by which Python 3 stores bytes in old protocols."""
     if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
         raise DataError(f"a bytes value asks for the codec {encoding!r}")
     return text.encode("latin-1")
 
 
 def _bytes(*arguments: Any) -> bytes:
-    """Stand-in for `bytes`, by which old protocols store empty ones."""
+    """Replace `bytes`, by which old protocols store empty bytes."""
     if arguments:
         raise DataError("a bytes value is made of something else")
     return b""
 
 
 def _bytearray(content: Any = b"", encoding: Any = "latin1") -> bytearray:
-    """Stand-in for `bytearray`, which would take a number and fill the memory."""
+    """Replace `bytearray`, which given a large number would fill the memory."""
     if isinstance(content, str):
         content = _latin1_bytes(content, encoding)
     if not isinstance(content, bytes | bytearray):
@@ -140,8 +142,8 @@ def _no_array(*arguments: Any) -> Any:
     raise DataError("an array is not built the way NumPy writes it")
 
 
-class _StandIn:
-    """A name that a pickle may call. Unlike a function, it has nothing that the pickle could set."""
+class _Replacement:
+    """A function that a pickle may call. Unlike a plain function, it has no attributes that a pickle can set."""
 
     __slots__ = ("_function", "name")
 
@@ -160,45 +162,53 @@ _BUILTINS = {
     "set": set,
     "frozenset": frozenset,
     "complex": complex,
-    "bytearray": _StandIn("bytearray", _bytearray),
-    "bytes": _StandIn("bytes", _bytes),
+    "bytearray": _Replacement("bytearray", _bytearray),
+    "bytes": _Replacement("bytes", _bytes),
 }
-_NUMPY = {"ndarray": _StandIn("ndarray", _no_array), "dtype": _StandIn("dtype", _DType)}
+_NUMPY = {"ndarray": _Replacement("ndarray", _no_array), "dtype": _Replacement("dtype", _DType)}
 _CORE = {
-    "multiarray._reconstruct": _StandIn("_reconstruct", _Array),
-    "multiarray.scalar": _StandIn("scalar", _scalar),
-    "numeric._frombuffer": _StandIn("_frombuffer", _frombuffer),
+    "multiarray._reconstruct": _Replacement("_reconstruct", _Array),
+    "multiarray.scalar": _Replacement("scalar", _scalar),
+    "numeric._frombuffer": _Replacement("_frombuffer", _frombuffer),
 }
-_ENCODE = _StandIn("encode", _latin1_bytes)
+_ENCODE = _Replacement("encode", _latin1_bytes)
 
 
 def _allowed(module: str, name: str) -> Any:
+    """Return the replacement for a name in a module; None where the name is not allowed."""
     if module in ("builtins", "__builtin__"):
         return _BUILTINS.get(name)
     if module == "numpy":
         return _NUMPY.get(name)
     if (module, name) == ("_codecs", "encode"):
         return _ENCODE
-    # NumPy moved its core; old pickles keep the old name.
+    # NumPy has renamed its core package; old pickles hold the old name.
     core = module.removeprefix("numpy._core.").removeprefix("numpy.core.")
     return _CORE.get(f"{core}.{name}") if core != module else None
 
 
 class _DataUnpickler(pickle.Unpickler):
+    """An unpickler that only calls the replacements of this module."""
+
     def find_class(self, module: str, name: str) -> Any:
-        found = _allowed(module, name)
-        if found is None:
+        replacement = _allowed(module, name)
+        if replacement is None:
             raise DataError(f"it asks for {module}.{name}, which is not data")
-        return found
+        return replacement
 
 
-def _finish(value: Any, seen: dict[int, tuple[Any, Any]]) -> Any:
-    """The value with its collected arrays in place. `seen` has, by id, what was met, kept alive, and its result."""
+def _insert_arrays(value: Any, results: dict[int, tuple[Any, Any]]) -> Any:
+    """Replace every `_Array` and `_DType` in a value by what it stands for.
+
+    Args:
+        value: any value that was loaded; lists and dicts are changed in place.
+        results: value and result by the value's id. Holding the value keeps its id from being used again.
+    """
     kind = type(value)
     if kind not in (list, dict, tuple, _Array, _DType):
         return value
-    if id(value) in seen:
-        return seen[id(value)][1]
+    if id(value) in results:
+        return results[id(value)][1]
     result = value
     if kind is _DType:
         return value.type
@@ -206,34 +216,37 @@ def _finish(value: Any, seen: dict[int, tuple[Any, Any]]) -> Any:
         result = value.content
         if result is None:
             raise DataError("an array is not filled the way NumPy writes it")
-        seen[id(value)] = value, result
+        results[id(value)] = value, result
         if result.dtype.kind == "O":
             flat = result.reshape(-1)
             for i, item in enumerate(flat):
-                flat[i] = _finish(item, seen)
+                flat[i] = _insert_arrays(item, results)
         return result
     if kind is tuple:
-        result = tuple(_finish(item, seen) for item in value)
-        seen[id(value)] = value, result
+        result = tuple(_insert_arrays(item, results) for item in value)
+        results[id(value)] = value, result
         return result
-    seen[id(value)] = value, value
+    results[id(value)] = value, value
     for key, item in value.items() if kind is dict else enumerate(value):
-        value[key] = _finish(item, seen)
+        value[key] = _insert_arrays(item, results)
     return value
 
 
 def load_pickle(path: str | Path) -> Any:
-    """Load a pickle that holds only plain data and NumPy arrays, from Python 2 (as latin-1) or 3.
+    """Load a pickle that holds only plain data and NumPy arrays, written by Python 2 (as latin-1) or 3.
 
-    Arrays hold truth values, numbers, text, bytes or Python objects; records and dates are refused.
+    Arrays may hold truth values, numbers, text, bytes or Python objects; arrays of records and dates are refused.
+
+    Args:
+        path: the file.
 
     Raises:
-        DataError: no such file, damaged, or holding anything but data; nothing in it is run.
+        DataError: there is no such file, it is damaged, or it holds anything but data. No code in it is run.
     """
     path = Path(path)
     try:
         with path.open("rb") as file:
-            return _finish(_DataUnpickler(file, encoding="latin-1").load(), {})
+            return _insert_arrays(_DataUnpickler(file, encoding="latin-1").load(), {})
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
     except OSError as err:
@@ -250,6 +263,6 @@ def load_pickle(path: str | Path) -> Any:
 
 
 def _one_line(text: str) -> str:
-    """What a file says, fit for a message."""
+    """Return text from a file in one line of at most about 200 characters."""
     safe = " ".join(text.encode("utf-8", "backslashreplace").decode().split())
     return safe if len(safe) <= 200 else safe[:200] + "..."

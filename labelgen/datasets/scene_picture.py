@@ -1,4 +1,4 @@
-"""One picture of a scene: its empty road, or a frame."""
+"""Read one picture of a scene: its empty road, or a frame."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
 def read_picture(scene: SceneFiles, frame: int = 0) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 BGR: an image file as it is, a session's picture of the empty road, or a frame.
+    """Read a picture of a scene: an image file, a session's picture of the empty road, or a frame.
 
     Args:
-        scene: what to show.
-        frame: number of the frame; other than 0 it is always taken from the video.
+        scene: the scene.
+        frame: number of the frame. Frame 0 is replaced by the picture of the empty road, where there is one.
+
+    Returns:
+        (H, W, 3) uint8 BGR.
 
     Raises:
-        DataError: no such frame or no picture.
+        DataError: there is no such frame, or no picture at all.
     """
     path = scene.picture_path
     if path is not None and path.suffix.lower() in _IMAGE_SUFFIXES and (frame == 0 or path == scene.frames_path):
@@ -32,6 +35,6 @@ def read_picture(scene: SceneFiles, frame: int = 0) -> NDArray[np.uint8]:
         raise DataError(f"{scene.name}: frame {frame} needs its video, which is not there; frame 0 is its empty road")
     if scene.frames_path is None:
         raise DataError(f"{scene.name}: it has neither a video nor a picture of the empty road")
-    for found in open_frames(scene.frames_path).frames(lambda n: n == frame):
-        return found.image
+    for wanted in open_frames(scene.frames_path).frames(lambda n: n == frame):
+        return wanted.image
     raise DataError(f"{scene.frames_path}: it has no frame {frame}")

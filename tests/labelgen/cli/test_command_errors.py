@@ -43,8 +43,8 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_missing_root_says_what_to_set(labelgen, tmp_path: Path) -> None:
     done = labelgen("boxcars", "--out", tmp_path / "out", HOME=str(tmp_path), LABELGEN_BOXCARS116K="")
-    _refused(done, "BoxCars116k not found", "--root DIR", "LABELGEN_BOXCARS116K=DIR", "labelgen synth boxcars")
-    _refused(labelgen("boxcars", "--root", "nowhere", "--out", "out"), "--root nowhere: no such folder")
+    _refused(done, "BoxCars116k not found", "give its folder", "LABELGEN_BOXCARS116K=DIR", "labelgen synth boxcars")
+    _refused(labelgen("boxcars", "--root", "nowhere", "--out", "out"), "root nowhere: no such folder")
     done = labelgen("boxcars", "--out", "out", LABELGEN_BOXCARS116K="elsewhere")
     _refused(done, "LABELGEN_BOXCARS116K=elsewhere: no such folder")
     assert not (tmp_path / "out").exists()
