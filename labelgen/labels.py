@@ -1,6 +1,8 @@
-"""The types that flow from sources to shards: labels of one image, and one labelled image.
+"""The types that flow from sources to shards: the labels of one image, and one image with its labels.
 
-Convention: boxes are x0, y0, x1, y1 in rectified px, pixels being areas; see `labelgen.geometry`.
+Convention:
+    Boxes are (N, 4) float64 as x0, y0, x1, y1 in px of the rectified image, pixels being areas; c_c is (N,) float64 in
+    [0, 1]; vertices are (N, 8, 2) as in `labelgen.geometry.box_codec`.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ __all__ = ["Flag", "Labels", "Sample", "Split", "VehicleClass"]
 
 
 class VehicleClass(IntEnum):
-    """What a label shows; values are part of the shard format."""
+    """The kind of vehicle of a label; values are part of the shard format."""
 
     VEHICLE = 0
     CAR = 1
@@ -34,7 +36,7 @@ class VehicleClass(IntEnum):
 
 
 class Split(IntEnum):
-    """Which part of its data set a sample belongs to; values are part of the shard format."""
+    """The part of its data set that a sample belongs to; values are part of the shard format."""
 
     NONE = 0
     TRAIN = 1
@@ -43,30 +45,30 @@ class Split(IntEnum):
 
 
 class Flag(IntFlag):
-    """Remarks on a label; values are part of the shard format."""
+    """Properties of a label, combined as bits; values are part of the shard format."""
 
     TRUNCATED = 1
     """The vehicle touches the border of the rectified image or of the frame: its box and c_c are cut."""
     MIRRORED = 2
-    """In the source's 3D box vertices 0 and 1 stand the other way round than a decoded box has them."""
+    """In the source's 3D box vertices 0 and 1 are swapped compared with a decoded box."""
     REVERSED = 4
     """In the source's 3D box the edge 2, 3 is the near one."""
     MISALIGNED = 8
-    """The source's 3D box does not follow the vanishing points, so decoding does not return it exactly."""
+    """The source's 3D box does not follow the vanishing points, so that decoding does not restore it exactly."""
     CANDIDATES_DISAGREE = 16
-    """The mask's two candidates for c_c differ by more than 0.1: its outline is not that of a clean box."""
+    """The mask's two candidates for c_c differ by more than 0.1: its outline is not that of a box."""
     TOUCHING = 32
     """The mask touches another one: one of the two vehicles is likely to be partly hidden."""
     FLAT = 64
-    """The picture is not rectified: there is a 2D box alone, c_c is 0 and means nothing."""
+    """The image is not rectified: the label is a 2D box, and c_c is 0 without a meaning."""
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Labels of one image, as a structure of arrays of equal length N.
+    """The labels of one image, as a structure of arrays of equal length N.
 
     Args:
-        boxes_xyxy: (N, 4) float64, rectified px, x0 < x1 and y0 < y1; may reach beyond the image.
+        boxes_xyxy: (N, 4) float64, rectified px, x0 < x1 and y0 < y1; may extend beyond the image.
         cc: (N,) float64 in [0, 1].
         class_ids: (N,) uint8, `VehicleClass`.
         scores: (N,) float32 in [0, 1].
@@ -74,7 +76,7 @@ class Labels:
         candidates: (N, 2) float64, both c_c candidates of a mask label; NaN where the label is not from a mask.
 
     Raises:
-        DataError: all fields that are wrong, expected beside actual.
+        DataError: one message with all wrong fields, the expected value beside the actual one.
     """
 
     boxes_xyxy: Array
@@ -116,12 +118,12 @@ class Labels:
         return len(self.cc)
 
     def __getitem__(self, index: Any) -> Labels:
-        """Some of the labels: a slice, a bool mask or an index array."""
+        """Return the labels at a slice, a bool mask (N,) or an index array."""
         return Labels._of_checked({f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     @classmethod
     def _of_checked(cls, arrays: dict[str, NDArray[Any]]) -> Labels:
-        """Labels of arrays that come from other labels; checking them again would cost more than the rest."""
+        """Return labels of arrays that were validated before: a second validation costs more than all else."""
         labels = object.__new__(cls)
         for name, array in arrays.items():
             object.__setattr__(labels, name, array)
@@ -129,22 +131,30 @@ class Labels:
 
     @classmethod
     def empty(cls) -> Labels:
-        """No labels."""
+        """Return labels of length 0."""
         return cls(np.empty((0, 4)), np.empty(0))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Labels]) -> Labels:
-        """All labels of several sets, in order."""
+        """Return all labels of several images, in order."""
         if not parts:
             return cls.empty()
         return cls._of_checked({f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
 
     def has(self, flag: Flag) -> NDArray[np.bool_]:
-        """(N,) which labels carry a flag."""
+        """Return which labels carry a flag, (N,) bool."""
         return np.asarray((self.flags & flag.value) != 0)
 
     def vertices(self, vpu: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-        """The 3D boxes (N, 8, 2) in rectified px, in the source's vertex order, and which are valid (N,)."""
+        """Decode the labels into 3D boxes of the rectified image.
+
+        Args:
+            vpu: (2,) rectified px, `Rectification.vpu`.
+
+        Returns:
+            Vertices (N, 8, 2), rectified px, in the source's vertex order, and valid (N,) bool: False where the label
+            has no 3D box.
+        """
         vertices, valid = decode_boxes(self.boxes_xyxy, self.cc, vpu)
         valid &= ~self.has(Flag.FLAT)
         return reorder_vertices(vertices, self.has(Flag.MIRRORED), self.has(Flag.REVERSED)), valid
@@ -161,7 +171,7 @@ _DTYPES: dict[str, Any] = {
 
 
 def _numbers(name: str, value: Any, problems: list[str]) -> NDArray[Any]:
-    """The value as an array of numbers, not yet of the field's type: narrowing would hide what is out of range."""
+    """Return the value as an array of numbers of its own type: the field's type would hide values out of range."""
     try:
         array = np.asarray(value)
         return array if array.dtype.kind in "biuf" else array.astype(np.float64)
@@ -194,15 +204,15 @@ class Sample:
     """One rectified image with its labels.
 
     Args:
-        encoded: the image's JPEG or PNG bytes.
-        labels: in the rectified image.
-        rectification: frame px -> rectified px; its frame is the original image's, not the crop's.
+        encoded: JPEG or PNG bytes of the rectified image.
+        labels: the labels, in the rectified image.
+        rectification: frame px -> rectified px; of the whole frame, also where the source is a crop of it.
         camera: the calibration used.
-        source: which file or item of the data set, as text.
-        frame: frame number in a video, instance number in BoxCars; -1 where there is none.
-        time_s: time of the frame in its video; NaN where there is none.
+        source: name of the file or of the item of the data set.
+        frame: frame number in a video, instance number in BoxCars116k; -1 where there is none.
+        time_s: time of the frame in its video, seconds; NaN where there is none.
         split: part of the data set.
-        window_xyxy: (4,) the part of the original frame that `source` shows, frame px.
+        window_xyxy: (4,) frame px, the part of the frame that the source shows; NaN where unknown.
     """
 
     encoded: bytes
@@ -217,7 +227,7 @@ class Sample:
 
     @property
     def image(self) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 BGR, decoded anew at each access.
+        """The rectified image, (H, W, 3) uint8 BGR, decoded at each access.
 
         Raises:
             DataError: the bytes are no image.
@@ -228,6 +238,11 @@ class Sample:
         return np.asarray(image, dtype=np.uint8)
 
     def vertices_px(self) -> tuple[Array, NDArray[np.bool_]]:
-        """The 3D boxes (N, 8, 2) in the original frame's px, and which are valid (N,)."""
+        """Return the 3D boxes in the original frame.
+
+        Returns:
+            Vertices (N, 8, 2), frame px, in the source's vertex order, and valid (N,) bool: False where the label has
+            no 3D box.
+        """
         vertices, valid = self.labels.vertices(self.rectification.vpu)
         return self.rectification.points_back(vertices), valid

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from labelgen.geometry import Camera, Pair
-from labelgen.geometry.box_codec import CUT_PX
+from labelgen.geometry.boxes import CUT_MARGIN_PX
 from labelgen.geometry.homography import Array, apply_homography
 
 __all__ = ["TYPICAL_HEIGHT_M", "TYPICAL_LENGTH_M", "merge_sizes", "scene_vector", "sizes_from_cc", "transform_scene"]
@@ -113,7 +113,7 @@ def merge_sizes(
     reach = sizes[:, 1].exp() * TYPICAL_LENGTH_M * scene[1] * nearness
     m = reach * (1 - k).clamp(min=0) / (1 + reach) if scene[3] < 0 else reach * (1 + k)
     bottoms = boxes_xyxy[:, 3]
-    whole = bottoms < height_px - CUT_PX
+    whole = bottoms < height_px - CUT_MARGIN_PX
     tops = ((1 - _TOP_WEIGHT) * boxes_xyxy[:, 1] + _TOP_WEIGHT * (bottoms - rows * (k + m))).clamp(min=0)
     merged = boxes_xyxy.clone()
     merged[:, 1] = torch.where(whole, tops, boxes_xyxy[:, 1])

@@ -19,7 +19,7 @@ from labelgen.media.frames import Frame, FrameSource, always
 
 __all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
 
-SPEED_LIMITS = LabelLimits(least_m=(0.0, 0.5, 0.0), most_m=(40.0, 6.0, 8.0))
+SPEED_LIMITS = LabelLimits(min_size_lwh_m=(0.0, 0.5, 0.0), max_size_lwh_m=(40.0, 6.0, 8.0))
 """Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
 its foot is where it is, and without it a track would break."""
 

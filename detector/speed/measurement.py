@@ -25,7 +25,7 @@ from detector.speed.contact_point import MaskExtent, move_to_contact_point
 from detector.speed.detections import Detections
 from labelgen.errors import CalibrationError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, Region, RoadMask, decode_boxes
-from labelgen.geometry.box_codec import CUT_PX
+from labelgen.geometry.boxes import CUT_MARGIN_PX
 from labelgen.geometry.homography import Array
 
 __all__ = ["MeasurementView", "Variant"]
@@ -217,4 +217,4 @@ class MeasurementView:
         """(N,) False where the view's lower border cuts off the foot: there the box does not end on the road."""
         if self.rectification is None:
             return np.ones(len(boxes), dtype=np.bool_)
-        return np.asarray(boxes[:, 3] < self.size_wh[1] - CUT_PX)
+        return np.asarray(boxes[:, 3] < self.size_wh[1] - CUT_MARGIN_PX)

@@ -1,9 +1,9 @@
-"""Cameras, rectification, the label codec and labels from masks. Pure functions of arrays: no files but calibrations.
+"""Cameras, rectification, the box codec, and labels from outlines: functions of NumPy arrays.
 
-Convention, throughout:
-    float64; x right, y down; pixels are areas, so pixel (column j, row i) covers [j, j + 1) x [i, i + 1).
-    Sizes are (width, height), boxes are (x0, y0, x1, y1), images are (height, width[, channels]).
-    VP1: direction of travel; VP2: across the road; VP3: vertical; VPU: the one a rectification leaves finite.
+Convention:
+    float64 px, x right, y down; pixels are areas: pixel (column j, row i) covers [j, j + 1) x [i, i + 1).
+    Sizes are (width, height), boxes (x0, y0, x1, y1), images (height, width) or (height, width, channels).
+    VP1: direction of travel; VP2: across the road; VP3: vertical; VPU: the one that a rectification leaves finite.
 """
 
 from labelgen.choices import Pair, Region, Rule, parse_size
@@ -24,7 +24,8 @@ from labelgen.geometry.outline_label import (
     mask_polygon,
     rectified_outline,
 )
-from labelgen.geometry.rectification import Rectification, rectify_windows
+from labelgen.geometry.rectification import Rectification
+from labelgen.geometry.rectifying_homography import rectify_windows
 from labelgen.geometry.road_mask import RoadMask
 from labelgen.geometry.tangent_box import tangent_boxes, window_around
 

@@ -1,14 +1,15 @@
 """The label codec: 3D boxes in a rectified image <-> axis-aligned 2D boxes and one number c_c.
 
 Convention:
-    Vertices (8, 2) px in the order of BoxCars116k: 0-3 top, 4-7 bottom beneath them; 0, 1 top front edge,
-    1, 2 top edge of the visible side, 2, 3 top rear edge. "Front" is the face towards the camera's near
-    side, the bottom of the rectified image.
-    c_c = (y of the top front edge - y_min) / (y_max - y_min), in [0, 1].
+    Boxes are (N, 4) float64 as x0, y0, x1, y1; vertices (N, 8, 2) float64 as x, y; both in px of the rectified
+    image, x right, y down.
+    Vertices stand in the order of BoxCars116k: 0-3 top, 4-7 bottom beneath them; 0, 1 top front edge, 1, 2 top edge
+    of the visible side, 2, 3 top rear edge. "Front" is the face nearer to the bottom of the rectified image.
+    c_c is (N,) float64 in [0, 1]: (y of the top front edge - y0) / (y1 - y0).
 
-The box is one axis-aligned rectangle, the face away from VPU, and the same rectangle pulled towards VPU by a
-factor s, 0 < s <= 1. Flipping y where VPU lies below makes the two cases one; max and min make the six
-published cases one.
+The 3D box is one axis-aligned rectangle, the face away from VPU, and the same rectangle scaled towards VPU by a
+factor s, 0 < s <= 1. With y flipped where VPU lies below, one formula serves both positions of VPU; its maximum and
+minimum give the six published cases.
 
 Source: Kocur & Ftacnik 2020, section 3.3.
 """
@@ -22,22 +23,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from labelgen.geometry.homography import Array, bounding_boxes
 
-__all__ = ["CUT_PX", "EncodedBoxes", "decode_boxes", "encode_boxes", "front_bottom_midpoints", "reorder_vertices"]
+__all__ = ["EncodedBoxes", "decode_boxes", "encode_boxes", "front_bottom_midpoints", "reorder_vertices"]
 
 _TOP_ORDERS = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [3, 2, 1, 0], [2, 3, 0, 1]])
-_ORDERS = np.concatenate([_TOP_ORDERS, _TOP_ORDERS + 4], axis=1)
+_VERTEX_ORDERS = np.concatenate([_TOP_ORDERS, _TOP_ORDERS + 4], axis=1)
 """Vertex permutations, indexed by mirrored + 2 * reversed; each is its own inverse."""
 
 
 @dataclass(frozen=True)
 class EncodedBoxes:
-    """What `encode_boxes` returns; all arrays have N entries.
+    """N encoded boxes, with what is needed to give decoded vertices their old order.
 
     Args:
-        boxes_xyxy: (N, 4) px, the box around the 8 vertices.
-        cc: (N,) c_c.
-        mirrored: (N,) True where vertices 0 and 1 stand the other way round than `decode_boxes` gives them.
-        reversed: (N,) True where edge 2, 3 is the near one (a vehicle seen from behind, ordered by its own front).
+        boxes_xyxy: (N, 4) rectified px, the box around the 8 vertices.
+        cc: (N,) c_c; NaN for a box without height.
+        mirrored: (N,) True where vertices 0 and 1 are swapped compared with those of `decode_boxes`.
+        reversed: (N,) True where edge 2, 3 is the near one: a vehicle seen from behind whose vertices start at its
+            own front.
     """
 
     boxes_xyxy: Array
@@ -47,11 +49,14 @@ class EncodedBoxes:
 
 
 def encode_boxes(vertices: ArrayLike, vpu: ArrayLike) -> EncodedBoxes:
-    """Encode rectified 3D boxes.
+    """Encode 3D boxes of a rectified image as 2D boxes and c_c.
 
     Args:
-        vertices: (N, 8, 2) rectified px, whose edges point to the rectified vanishing points.
-        vpu: (2,) or (N, 2) rectified px.
+        vertices: (N, 8, 2) rectified px; edges point to the rectified vanishing points.
+        vpu: (2,) or (N, 2) rectified px, the vanishing point that the rectification leaves finite.
+
+    Returns:
+        The N boxes. Vertices that follow the vanishing points are restored by `decode_boxes`, then `reorder_vertices`.
     """
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 8, 2)
     u = np.broadcast_to(np.asarray(vpu, dtype=np.float64), (len(points), 2))[:, 0]
@@ -67,70 +72,78 @@ def encode_boxes(vertices: ArrayLike, vpu: ArrayLike) -> EncodedBoxes:
 
 
 def decode_boxes(boxes_xyxy: ArrayLike, cc: ArrayLike, vpu: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-    """Reconstruct rectified 3D boxes.
+    """Decode 2D boxes and c_c into 3D boxes of the rectified image.
 
     Args:
         boxes_xyxy: (N, 4) rectified px.
-        cc: (N,) c_c.
-        vpu: (2,) or (N, 2) rectified px.
+        cc: (N,) c_c in [0, 1].
+        vpu: (2,) or (N, 2) rectified px, the vanishing point that the rectification leaves finite.
 
     Returns:
-        vertices (N, 8, 2), and valid (N,): False where no 3D box with this c_c fits inside the 2D box (its
-        vertices then mean nothing, and may be NaN).
+        Vertices (N, 8, 2), rectified px, and valid (N,) bool. Not valid is a box into which no 3D box with this c_c
+        fits; its vertices are undefined and may be NaN.
     """
     box = np.asarray(boxes_xyxy, dtype=np.float64).reshape(-1, 4).T
-    share = np.asarray(cc, dtype=np.float64).reshape(-1)
+    cc = np.asarray(cc, dtype=np.float64).reshape(-1)
     u, v = np.asarray(vpu, dtype=np.float64).reshape(-1, 2).T
     below = v > (box[1] + box[3]) / 2
     flip = np.where(below, -1.0, 1.0)
     y0, y1 = np.where(below, -box[3], box[1]), np.where(below, -box[1], box[3])
     v = flip * v
     with np.errstate(divide="ignore", invalid="ignore"):
-        c = flip * (box[1] + share * (box[3] - box[1]))
+        c = flip * (box[1] + cc * (box[3] - box[1]))
         s = (y0 - v) / (c - v)
         left = np.maximum(box[0], u + (box[0] - u) / s)
         right = np.minimum(box[2], u + (box[2] - u) / s)
         width = right - left
         valid = (s > 0) & (s <= 1 + 1e-12) & (width > 0) & (width < np.inf)
-        valid &= (share >= 0) & (share <= 1) & (v < y0) & (y0 < y1) & (y1 < np.inf)
-    # Columns: x and y of the rectangle's two corners on either side, then the same pulled towards VPU.
+        valid &= (cc >= 0) & (cc <= 1) & (v < y0) & (y0 < y1) & (y1 < np.inf)
+    # x of the rectangle's sides; "far" is what lies nearer to VPU.
     towards_left = u < (box[0] + box[2]) / 2
-    hidden, seen = np.where(towards_left, right, left), np.where(towards_left, left, right)
-    hidden_far, seen_far = u + s * (hidden - u), u + s * (seen - u)
+    hidden, visible = np.where(towards_left, right, left), np.where(towards_left, left, right)
+    hidden_far, visible_far = u + s * (hidden - u), u + s * (visible - u)
     y1_far = flip * (v + s * (y1 - v))
     c, y0, y1 = flip * c, flip * y0, flip * y1
 
     # VPU above: the rectangle is the front face. VPU below: it is the roof, whose rear edge is y1.
-    vertices = np.empty((len(share), 8, 2))
-    vertices[:, 0, 0], vertices[:, 1, 0] = hidden, seen
+    vertices = np.empty((len(cc), 8, 2))
+    vertices[:, 0, 0], vertices[:, 1, 0] = hidden, visible
     vertices[:, 0, 1] = vertices[:, 1, 1] = c
     vertices[:, 2, 0], vertices[:, 3, 0] = (
-        np.where(below, seen, seen_far),
+        np.where(below, visible, visible_far),
         np.where(below, hidden, hidden_far),
     )
     vertices[:, 2, 1] = vertices[:, 3, 1] = np.where(below, y1, y0)
     vertices[:, 4, 0], vertices[:, 5, 0] = (
         np.where(below, hidden_far, hidden),
-        np.where(below, seen_far, seen),
+        np.where(below, visible_far, visible),
     )
     vertices[:, 4, 1] = vertices[:, 5, 1] = np.where(below, y0, y1)
-    vertices[:, 6, 0], vertices[:, 7, 0] = seen_far, hidden_far
+    vertices[:, 6, 0], vertices[:, 7, 0] = visible_far, hidden_far
     vertices[:, 6, 1] = vertices[:, 7, 1] = y1_far
     return vertices, valid
 
 
 def reorder_vertices(vertices: Array, mirrored: ArrayLike, backwards: ArrayLike) -> Array:
-    """Put decoded vertices (N, 8, 2) into the order of the boxes that were encoded, or back again."""
-    which = np.asarray(mirrored, dtype=np.int64) + 2 * np.asarray(backwards, dtype=np.int64)
-    out: Array = np.take_along_axis(vertices, _ORDERS[which][..., None], axis=1)
+    """Return decoded vertices in the order of the boxes that were encoded, or the other way round.
+
+    Args:
+        vertices: (N, 8, 2).
+        mirrored: (N,) bool, as in `EncodedBoxes`.
+        backwards: (N,) bool, `EncodedBoxes.reversed`.
+
+    Returns:
+        (N, 8, 2), the same points in another order.
+    """
+    order = np.asarray(mirrored, dtype=np.int64) + 2 * np.asarray(backwards, dtype=np.int64)
+    out: Array = np.take_along_axis(vertices, _VERTEX_ORDERS[order][..., None], axis=1)
     return out
 
 
 def front_bottom_midpoints(vertices: Array) -> Array:
-    """(N, 2) the measured point of each vehicle: the middle of its bottom front edge (paper section 3.5)."""
+    """Return the middle (N, 2) of each box's bottom front edge, its contact point, from vertices (N, 8, 2).
+
+    Source: Kocur & Ftacnik 2020, section 3.5.
+    """
     out: Array = vertices[:, 4:6].mean(axis=1)
     return out
-
-
-CUT_PX = 3.0
-"""A box whose lower side is nearer than this to the picture's lower border counts as cut by it."""

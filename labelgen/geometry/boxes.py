@@ -1,4 +1,8 @@
-"""Axis-aligned boxes: overlap."""
+"""Axis-aligned boxes: overlap, and which of them the image's border cuts.
+
+Convention:
+    Boxes are (..., 4) float64 as x0, y0, x1, y1 in px, pixels being areas; x points right, y down.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,30 @@ from numpy.typing import ArrayLike
 
 from labelgen.geometry.homography import Array
 
-__all__ = ["iou_matrix"]
+__all__ = ["CUT_MARGIN_PX", "iou_matrix"]
+
+CUT_MARGIN_PX = 3.0
+"""A box that ends less than this above the image's lower border counts as cut by it, px.
+
+It covers the error of a detected side: less takes cut vehicles for whole ones, more loses whole ones near the camera.
+"""
 
 
 def iou_matrix(first_xyxy: ArrayLike, second_xyxy: ArrayLike) -> Array:
-    """(N, M) intersection over union of boxes (N, 4) with boxes (M, 4); 0 where either has no area."""
+    """Return the intersection over union of each of N boxes with each of M others.
+
+    Args:
+        first_xyxy: (N, 4) px.
+        second_xyxy: (M, 4) px.
+
+    Returns:
+        (N, M) in [0, 1]; 0 where neither box has an area.
+    """
     a = np.asarray(first_xyxy, dtype=np.float64).reshape(-1, 1, 4)
     b = np.asarray(second_xyxy, dtype=np.float64).reshape(1, -1, 4)
     sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    shared = np.maximum(sides, 0).prod(axis=-1)
+    intersection = np.maximum(sides, 0).prod(axis=-1)
     areas = [np.maximum(boxes[..., 2:] - boxes[..., :2], 0).prod(axis=-1) for boxes in (a, b)]
-    union = areas[0] + areas[1] - shared
-    out: Array = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+    union = areas[0] + areas[1] - intersection
+    out: Array = np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0)
     return out

@@ -1,14 +1,16 @@
 """A camera above a road, known by its vanishing points.
 
 Convention:
+    All arrays are float64. Points are (..., 2) as x, y in px of the frame, x right, y down.
     Pixels are areas: pixel (column j, row i) covers [j, j + 1) x [i, i + 1), so (0, 0) is the outer corner
-    of the first pixel and its centre is (0.5, 0.5). x points right, y points down.
+    of the first pixel and its centre is (0.5, 0.5).
     VP1 is the direction of travel, VP2 lies across the road, VP3 is vertical.
-    Road frame, in metres, right-handed: origin on the road under the camera, X towards VP1, Z up, so Y
-    points to the left of somebody who looks towards VP1.
+    Road frame, in metres, right-handed: origin on the road under the camera, X towards VP1, Z up, Y to the left when
+    looking towards VP1.
+    Camera axes, right-handed: x right, y down, z ahead.
 
-Source: Dubska et al., BMVC 2014; the distance convention of the BrnoCompSpeed result files (Sochor et al.,
-IEEE T-ITS 2018), whose plane offset of 10 and ray origin (pp_x, pp_y, 0) belong to what `scale` means.
+Source: Dubska et al., BMVC 2014. Distances follow the result files of BrnoCompSpeed (Sochor et al., IEEE T-ITS 2018),
+whose `scale` includes a plane offset of 10 and a ray origin at (pp_x, pp_y, 0).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from labelgen.atomic_files import write_json
 from labelgen.errors import CalibrationError
 from labelgen.geometry.homography import Array
 
@@ -32,8 +35,8 @@ __all__ = ["PLANE_OFFSET", "Camera", "look_at_road"]
 PLANE_OFFSET = 10.0
 """Offset of the road plane in the public result files; every published `scale` assumes it."""
 
-# Cosine between a ray and the road's normal under which a pixel counts as on the horizon: a camera at
-# 10 m sees such a point 1000 km away.
+# Least cosine between a ray and the road's normal for a pixel below the horizon. A camera 10 m above the road sees a
+# road point at this angle 1000 km away.
 _HORIZON_COS = 1e-5
 
 
@@ -65,7 +68,7 @@ def _scale(value: Any, problems: list[str]) -> float | None:
 
 
 def _shown(value: Any) -> str:
-    """A value in a message: one line, not longer than it helps."""
+    """Return a value as text for a message: one line of at most about 80 characters."""
     try:
         text = " ".join(repr(value).split())
     except (ValueError, RecursionError):  # a number of more digits than Python prints, a list too deep
@@ -88,7 +91,7 @@ def _size(value: Any, problems: list[str]) -> tuple[int, int] | None:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics and orientation from two orthogonal vanishing points; scale from one number.
+    """A camera: intrinsics and orientation from two orthogonal vanishing points, scale from one number.
 
     Args:
         vp1: (2,) px, vanishing point of the direction of travel.
@@ -96,10 +99,15 @@ class Camera:
         pp: (2,) px, principal point.
         scale: metres per unit of the public road-plane convention; None where distances are not known.
         image_wh: frame size in px, where known.
-        name: what to call this camera in messages and shards.
+        name: name of the camera in messages and shards.
+
+    Attributes:
+        focal: focal length, px.
+        vp3: (2,) px, vertical vanishing point.
 
     Raises:
-        CalibrationError: all problems at once (not finite, not orthogonal, scale <= 0, ...).
+        CalibrationError: one message with all problems: values that are not finite, vanishing points that are not
+            orthogonal, a scale that is not positive, a size that is not two positive integers.
     """
 
     vp1: Array
@@ -171,9 +179,15 @@ class Camera:
 
     @classmethod
     def from_dict(cls, data: Any, *, name: str = "", image_wh: tuple[int, int] | None = None) -> Camera:
-        """Camera from the public result format, `{"camera_calibration": {vp1, vp2, pp, scale}, ...}`.
+        """Return the camera of the public result format, `{"camera_calibration": {vp1, vp2, pp, scale}, ...}`.
 
-        The inner object alone is accepted too. `scale` may be missing; everything else must be there.
+        Args:
+            data: the parsed JSON object, or its inner object alone; `scale` may be missing.
+            name: name of the camera.
+            image_wh: frame size in px, where known.
+
+        Raises:
+            CalibrationError: a key is missing, or the values describe no camera.
         """
         where = f"calibration {name}" if name else "calibration"
         inner = data.get("camera_calibration", data) if isinstance(data, Mapping) else None
@@ -186,7 +200,15 @@ class Camera:
 
     @classmethod
     def load(cls, path: str | Path, *, image_wh: tuple[int, int] | None = None) -> Camera:
-        """Camera from a public JSON file (a calibration alone, or a result file with cars)."""
+        """Read a camera from a JSON file in the public result format, with or without cars.
+
+        Args:
+            path: the file; its stem becomes the camera's name.
+            image_wh: frame size in px, where known.
+
+        Raises:
+            CalibrationError: the file cannot be read, is not JSON, or describes no camera.
+        """
         path = Path(path)
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
@@ -199,28 +221,36 @@ class Camera:
         return replace(cls.from_dict(data, name=str(path), image_wh=image_wh), name=path.stem)
 
     def to_dict(self) -> dict[str, Any]:
-        """The public result format, without cars."""
+        """Return the camera in the public result format, without cars."""
         calibration: dict[str, Any] = {key: getattr(self, key).tolist() for key in ("vp1", "vp2", "pp")}
         if self.scale is not None:
             calibration["scale"] = self.scale
         return {"camera_calibration": calibration, "cars": []}
 
+    def save(self, path: str | Path) -> None:
+        """Write the camera as a JSON file in the public result format, without cars; `load` reads it.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        write_json(Path(path), self.to_dict())
+
     # -- derived geometry ---------------------------------------------------------------------------
 
     def vanishing_point(self, index: int) -> Array:
-        """VP1, VP2 or VP3 by its number."""
+        """Return VP1, VP2 or VP3, (2,) px, by its number."""
         return {1: self.vp1, 2: self.vp2, 3: self.vp3}[index]
 
     @cached_property
     def plane_normal(self) -> Array:
-        """(3,) unit normal of the road along VP3's direction, in camera axes (x right, y down, z ahead)."""
+        """(3,) unit normal of the road in camera axes, in the direction of VP3."""
         normal = np.array([*(self.vp3 - self.pp), self.focal])
         unit: Array = normal / np.linalg.norm(normal)
         return unit
 
     @cached_property
     def axes(self) -> Array:
-        """(3, 3) rotation whose rows are the road frame's X, Y, Z in camera axes."""
+        """(3, 3) rotation from camera axes to the road frame: its rows are X, Y and Z in camera axes."""
         ahead = np.array([*(self.vp1 - self.pp), self.focal])
         ahead /= np.linalg.norm(ahead)
         # The plane's normal points down unless the camera looks above the horizon.
@@ -232,7 +262,7 @@ class Camera:
         """Height of the camera above the road, metres.
 
         Raises:
-            CalibrationError: without a scale.
+            CalibrationError: the camera has no scale.
         """
         if self.scale is None:
             raise CalibrationError(
@@ -242,24 +272,24 @@ class Camera:
         return self.scale * abs(float(self.plane_normal[:2] @ self.pp) + PLANE_OFFSET)
 
     def rays(self, points_px: ArrayLike) -> Array:
-        """(..., 3) directions, in the axes of the road frame and of any length, in which pixels (..., 2) look."""
+        """Return the viewing directions (..., 3) of pixels (..., 2), in the road frame's axes and of any length."""
         points = np.asarray(points_px, dtype=np.float64)
         ahead = np.full((*points.shape[:-1], 1), self.focal)
         out: Array = np.concatenate([points - self.pp, ahead], axis=-1) @ self.axes.T
         return out
 
     def road_points(self, points_px: ArrayLike, *, invalid: Literal["raise", "nan"] = "raise") -> Array:
-        """Points of the road seen at pixels, in metres.
+        """Project pixels onto the road.
 
         Args:
             points_px: (..., 2) px.
-            invalid: what to do with pixels on or above the horizon.
+            invalid: "raise" or "nan" for pixels on or above the horizon.
 
         Returns:
-            (..., 2) X, Y in the road frame. Distances between them are those of the public convention.
+            (..., 2) X, Y in the road frame, metres. Distances between them are those of the public convention.
 
         Raises:
-            CalibrationError: no scale, or a pixel on or above the horizon with invalid="raise".
+            CalibrationError: the camera has no scale, or invalid="raise" and a pixel lies on or above the horizon.
         """
         points = np.asarray(points_px, dtype=np.float64)
         rays = self.rays(points)
@@ -274,25 +304,35 @@ class Camera:
         return out
 
     def project(self, points_m: ArrayLike) -> Array:
-        """Pixels of points in the road frame.
+        """Project points of the road frame into the frame.
 
         Args:
-            points_m: (..., 3) metres; or (..., 2) for points on the road.
+            points_m: (..., 3) metres, or (..., 2) for points on the road.
 
         Returns:
-            (..., 2) px; NaN for points that are not in front of the camera.
+            (..., 2) px; NaN for points that do not lie in front of the camera.
+
+        Raises:
+            CalibrationError: the camera has no scale.
         """
         points = np.asarray(points_m, dtype=np.float64)
         if points.shape[-1] == 2:
             points = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
-        seen = (points - np.array([0.0, 0.0, self.height_m])) @ self.axes
-        depth = seen[..., 2:]
+        in_camera = (points - np.array([0.0, 0.0, self.height_m])) @ self.axes
+        depth = in_camera[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
-            out: Array = self.pp + self.focal * seen[..., :2] / np.where(depth > 0, depth, np.nan)
+            out: Array = self.pp + self.focal * in_camera[..., :2] / np.where(depth > 0, depth, np.nan)
         return out
 
     def resized(self, factor: float) -> Camera:
-        """The same camera for frames scaled by `factor` > 0; distances in metres stay as they are."""
+        """Return the camera of the same view for frames scaled by a factor; distances in metres stay the same.
+
+        Args:
+            factor: new width over old width, positive.
+
+        Raises:
+            CalibrationError: a factor that is not positive and finite.
+        """
         if not (math.isfinite(factor) and factor > 0):
             raise CalibrationError(f"camera {self.name or '(unnamed)'}: expected a positive factor, got {factor}")
         wh = self.image_wh
@@ -314,15 +354,18 @@ def look_at_road(
     height_m: float, target_xy: tuple[float, float], focal: float, size_wh: tuple[int, int], roll_deg: float = 0.0,
     name: str = "",
 ) -> Camera:  # fmt: skip
-    """Camera `height_m` above the road frame's origin that looks at a point of the road.
+    """Return a camera above the road frame's origin that looks at a point of the road.
 
     Args:
-        height_m: metres.
-        target_xy: metres in the road frame.
-        focal: px.
-        size_wh: frame size; the principal point lies in its middle.
-        roll_deg: turn around the optical axis.
-        name: of the camera.
+        height_m: height above the road, metres.
+        target_xy: the point, metres in the road frame.
+        focal: focal length, px.
+        size_wh: frame size, px; the principal point lies in its middle.
+        roll_deg: rotation around the optical axis, degrees.
+        name: name of the camera.
+
+    Raises:
+        CalibrationError: the target gives vanishing points at infinity or no view of the road.
     """
     ahead = np.array([*target_xy, -height_m], dtype=np.float64)
     ahead /= np.linalg.norm(ahead)

@@ -1,4 +1,9 @@
-"""Homogeneous points, lines and homographies, batched over leading axes. float64 throughout."""
+"""Homogeneous points, lines and homographies, batched over leading axes.
+
+Convention:
+    float64. Points are (..., 2) as x, y; homographies (..., 3, 3) act on column vectors (x, y, 1); lines are (3,) as
+    a, b, c with a x + b y + c = 0; boxes are (..., 4) as x0, y0, x1, y1.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +23,7 @@ def homogeneous(points: ArrayLike) -> Array:
 
 
 def translation(dx: float, dy: float) -> Array:
-    """3x3 matrix that moves points by (dx, dy)."""
+    """Return the matrix (3, 3) that moves points by (dx, dy)."""
     return np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
 
 
@@ -26,10 +31,10 @@ def apply_homography(matrix: Array, points: ArrayLike, *, behind: str = "nan") -
     """Map points by homographies.
 
     Args:
-        matrix: (..., 3, 3), signed so that the visible side has positive third coordinate.
+        matrix: (..., 3, 3), signed so that visible points get a positive third coordinate.
         points: (..., K, 2); leading axes broadcast against those of `matrix`.
-        behind: "nan" turns points on or beyond the line that goes to infinity into NaN; "keep" maps
-            them all the same, which is what a vanishing point needs.
+        behind: "nan" gives NaN for points on or beyond the line that maps to infinity; "keep" maps them as well, as
+            vanishing points need.
 
     Returns:
         (..., K, 2).
@@ -42,13 +47,13 @@ def apply_homography(matrix: Array, points: ArrayLike, *, behind: str = "nan") -
 
 
 def bounding_boxes(points: ArrayLike) -> Array:
-    """Axis-aligned boxes (..., 4) as x0, y0, x1, y1 around point sets (..., K, 2)."""
+    """Return the axis-aligned boxes (..., 4) around point sets (..., K, 2)."""
     pts = np.asarray(points, dtype=np.float64)
     return np.concatenate([pts.min(axis=-2), pts.max(axis=-2)], axis=-1)
 
 
 def clip_polygon(polygon: Array, line: Array) -> Array:
-    """The part of a convex polygon (K, 2) where line . (x, y, 1) >= 0."""
+    """Return the part (J, 2) of a convex polygon (K, 2) where a x + b y + c >= 0 for a line (3,); J may be 0."""
     side = homogeneous(polygon) @ line
     if (side >= 0).all():
         return polygon

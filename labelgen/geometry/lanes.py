@@ -1,4 +1,9 @@
-"""Lanes between lines of the image."""
+"""Lanes between lines of the image.
+
+Convention:
+    Points are (P, 2) float64 px as x, y. Lines are (L, 3) float64 as a, b, c with a x + b y + c = 0; the signed value
+    of a line at a point is a x + b y + c.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +16,35 @@ __all__ = ["between_lines", "lanes_of", "line_values"]
 
 
 def line_values(points_px: Array, lines: Array) -> Array:
-    """Return the signed values (P, L) of homogeneous lines (L, 3) at points (P, 2)."""
+    """Return the signed values (P, L) of lines (L, 3) at points (P, 2)."""
     return points_px[:, :1] * lines[:, 0] + points_px[:, 1:] * lines[:, 1] + lines[:, 2]
 
 
 def between_lines(first: Array, second: Array, line_a: Array, line_b: Array) -> NDArray[np.bool_]:
-    """Whether points lie between two lines, from their signed values at the points; borders included."""
+    """Return which points lie between two lines, points on a line included.
+
+    Args:
+        first: (P,) signed values of the first line at the points.
+        second: (P,) those of the second line.
+        line_a: (3,) the first line.
+        line_b: (3,) the second line.
+
+    Returns:
+        (P,) bool.
+    """
     return np.asarray(first * second * (line_a[:2] @ line_b[:2]) <= 0)
 
 
 def lanes_of(points_px: Array, lane_lines: Array) -> IntArray:
-    """(P,) number of the first lane each point lies in, its borders included; -1 for none (also for NaN)."""
+    """Return the number of the lane in which each point lies.
+
+    Args:
+        points_px: (P, 2) px.
+        lane_lines: (L + 1, 3) lines, lane i lying between lines i and i + 1.
+
+    Returns:
+        (P,) int64; the first lane for points on a common border, -1 outside of all lanes and for NaN.
+    """
     lane = np.full(len(points_px), -1)
     values = line_values(points_px, lane_lines)
     for number in reversed(range(len(lane_lines) - 1)):

@@ -1,14 +1,16 @@
-"""From a vehicle's mask in the rectified image to its 2D box and c_c.
+"""Labels from outlines: the 2D box and c_c of a vehicle from its mask.
 
-Convention: a mask pixel covers [x, x + 1) x [y, y + 1). In a rectified mask the box runs along pixel borders and the
-two tangents from VPU touch it at pixel centres. In a mask of the frame both run obliquely: a side that follows the
-pixel grid truly lies at the borders, any other at the centres, so the middle half of each pixel stands for it.
+Convention:
+    Masks are (h, w), any non-zero value being set; pixel (x, y) covers [x, x + 1) x [y, y + 1). Points and hulls are
+    (K, 2) float64 px as x, y, x right, y down; boxes (4,) as x0, y0, x1, y1; c_c lies in [0, 1].
+    In a rectified mask the box follows pixel borders, and the tangents from VPU touch pixel centres. In a mask of the
+    frame both run obliquely to the pixel grid, and the middle half of each pixel stands for the pixel.
 
-Source: Kocur & Ftacnik 2020, section 3.4 (tangents from VPU, the wider of the two candidates). The published
-method rectifies the mask's pixels; rectifying its hull instead does not round anything to the rectified grid,
-which is what most of the error of c_c comes from (docs/label-accuracy.md). The
-"conditioned" rule weights the candidates by the inverse square of how far a shift of the tangent point by
-0.7 px moves them: where a tangent runs almost along a side of the box, half a pixel moves its candidate far.
+Source: Kocur & Ftacnik 2020, section 3.4 (tangents from VPU, the wider of the two candidates). The published method
+rectifies the mask's pixels. `rectified_outline` rectifies the mask's hull, which rounds nothing to the rectified pixel
+grid: that rounding is the largest part of the published method's error in c_c. `Rule.CONDITIONED` weights each
+candidate by the inverse square of its displacement under a small shift of the tangent point: where a tangent runs
+almost along a side of the box, half a pixel displaces the candidate far.
 """
 
 from __future__ import annotations
@@ -35,17 +37,18 @@ __all__ = [
     "rectified_outline",
 ]
 
-_TANGENT_SHIFT = 0.7
+_TANGENT_SHIFT_PX = 0.7
+"""Shift of a tangent point by which the conditioned rule measures a candidate: about half the diagonal of a pixel."""
 _MIDDLE_HALF = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
 
 
 @dataclass(frozen=True)
 class RectifiedOutline:
-    """What of a rectified mask matters for its label: all its parts together.
+    """The outline of one vehicle in the rectified image, all parts of its mask together.
 
     Args:
         box_xyxy: (4,) rectified px.
-        hull: (K, 2) rectified px, points on whose convex hull the tangents touch.
+        hull: (K, 2) rectified px, points whose convex hull the tangents touch.
     """
 
     box_xyxy: Array
@@ -54,13 +57,13 @@ class RectifiedOutline:
 
 @dataclass(frozen=True)
 class MaskLabels:
-    """What `label_outlines` returns; all arrays have N entries.
+    """Labels of N outlines.
 
     Args:
         boxes_xyxy: (N, 4) rectified px.
-        cc: (N,) c_c in [0, 1] by the chosen rule; NaN where not valid.
-        candidates: (N, 2) c_c by the tangent on the box's left and right, clamped to [0, 1].
-        valid: (N,) False where VPU does not lie above or below the mask, so that there are no tangents.
+        cc: (N,) c_c in [0, 1] by the rule; NaN where not valid.
+        candidates: (N, 2) c_c by the left and by the right tangent, clamped to [0, 1].
+        valid: (N,) bool; False where VPU lies neither above nor below the box, so that no tangents exist.
     """
 
     boxes_xyxy: Array
@@ -70,14 +73,14 @@ class MaskLabels:
 
 
 def _as_uint8(mask: NDArray[Any]) -> NDArray[np.uint8]:
-    """Non-zero where the mask is; 256 and 0.5 are not to become 0."""
+    """Return the mask as uint8, non-zero where it is set; a plain cast would turn 256 and 0.5 into 0."""
     if mask.dtype == np.uint8:
         return mask
     return (mask if mask.dtype == np.bool_ else mask != 0).view(np.uint8)
 
 
 def _hull(mask: NDArray[Any], origin_px: tuple[int, int]) -> Array | None:
-    """Convex hull (K, 2) of the mask's pixels by column and row, all parts together; None if it is empty."""
+    """Return the convex hull (K, 2) of the mask's pixel indices, all parts together; None for an empty mask."""
     contours, _ = cv2.findContours(_as_uint8(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if not contours:
         return None
@@ -86,14 +89,14 @@ def _hull(mask: NDArray[Any], origin_px: tuple[int, int]) -> Array | None:
 
 
 def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> RectifiedOutline | None:
-    """Outline of a rectified mask (the published method).
+    """Return the outline of a mask of the rectified image (the published method).
 
     Args:
-        mask: (h, w), any non-zero value being set, in the rectified image.
+        mask: (h, w), any non-zero value being set.
         origin_px: rectified px of its first pixel.
 
     Returns:
-        None for an empty mask.
+        The outline; None for an empty mask.
     """
     hull = _hull(mask, origin_px)
     if hull is None:
@@ -104,23 +107,29 @@ def mask_outline(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Rec
 def rectified_outline(
     rectification: Rectification, mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)
 ) -> RectifiedOutline | None:
-    """Return the outline, in rectified px, of a mask of the frame; None where it lies outside the image.
+    """Return the outline, in the rectified image, of a mask of the frame.
 
     Args:
-        rectification: from the frame in which the mask lies.
+        rectification: of the frame.
         mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
         origin_px: frame px of the mask's first pixel.
+
+    Returns:
+        The outline; None where the mask is empty or lies outside the rectified image.
     """
     polygon = mask_polygon(mask, origin_px)
     return None if polygon is None else polygon_outline(rectification, polygon)
 
 
 def mask_polygon(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Array | None:
-    """Points (K, 2) px whose convex hull stands for a mask of the frame; None if it is empty.
+    """Return points (K, 2), frame px, whose convex hull stands for a mask of the frame.
 
     Args:
         mask: (h, w), any non-zero value being set, the part of the frame's mask that starts at `origin_px`.
         origin_px: frame px of the mask's first pixel.
+
+    Returns:
+        The points; None for an empty mask.
     """
     hull = _hull(mask, origin_px)
     if hull is None:
@@ -130,9 +139,17 @@ def mask_polygon(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Arr
 
 
 def polygon_outline(rectification: Rectification, points: Array) -> RectifiedOutline | None:
-    """Return the outline, in rectified px, of frame points (K, 2); None where it lies outside the image."""
+    """Return the outline, in the rectified image, of the convex hull of frame points.
+
+    Args:
+        rectification: of the frame.
+        points: (K, 2) frame px.
+
+    Returns:
+        The outline; None where it lies outside the rectified image or has no area there.
+    """
     inside = rectification.points(points)
-    if not ((inside >= 0) & (inside <= rectification.size_wh)).all():  # NaN, beyond the horizon, is outside, too
+    if not ((inside >= 0) & (inside <= rectification.size_wh)).all():  # NaN, beyond the horizon, is outside
         outer = cv2.convexHull(points.astype(np.float32))[:, 0]
         inside = rectification.polygon_inside(outer)
         if len(inside) == 0:
@@ -142,12 +159,12 @@ def polygon_outline(rectification: Rectification, points: Array) -> RectifiedOut
 
 
 def label_outlines(outlines: Sequence[RectifiedOutline], vpu: ArrayLike, rule: Rule = Rule.WIDER) -> MaskLabels:
-    """Labels of N masks of one rectified image.
+    """Label N outlines of one rectified image: 2D boxes and c_c from the tangents through VPU.
 
     Args:
-        outlines: N outlines in the same rectified image.
-        vpu: (2,) rectified px.
-        rule: how to combine the two candidates.
+        outlines: the N outlines.
+        vpu: (2,) rectified px, the vanishing point that the rectification leaves finite.
+        rule: how the two candidates become one c_c.
     """
     rule = Rule(rule)
     u, v = (float(x) for x in np.asarray(vpu, dtype=np.float64))
@@ -160,7 +177,7 @@ def label_outlines(outlines: Sequence[RectifiedOutline], vpu: ArrayLike, rule: R
     y0, y1 = np.where(below, -boxes[:, 3], boxes[:, 1]), np.where(below, -boxes[:, 1], boxes[:, 3])
     valid = (flip * v < y0) & bool(np.isfinite([u, v]).all())
 
-    # Tangents x = u + k (y - v): per mask the least and the greatest k, and how far below VPU they touch.
+    # Tangents x = u + k (y - v): per outline the least and the greatest k, and the depth below VPU where they touch.
     slopes, depths = np.zeros((len(outlines), 2)), np.ones((len(outlines), 2))
     for i in np.flatnonzero(valid).tolist():
         depth = flip[i] * (outlines[i].hull[:, 1] - v)
@@ -173,17 +190,17 @@ def label_outlines(outlines: Sequence[RectifiedOutline], vpu: ArrayLike, rule: R
     height = (y1 - y0)[:, None]
     c = np.clip(raw, y0[:, None], y1[:, None])
     if rule is Rule.WIDER:
-        chosen = c.min(axis=1)
+        combined = c.min(axis=1)
     else:
-        shift = _TANGENT_SHIFT * np.sqrt(1 + slopes**2) / depths
+        shift = _TANGENT_SHIFT_PX * np.sqrt(1 + slopes**2) / depths
         ahead, _ = _candidates(slopes + shift, *frame, on_side=on_side, towards=slopes)
         behind, _ = _candidates(slopes - shift, *frame, on_side=on_side, towards=slopes)
         with np.errstate(invalid="ignore"):  # infinite only where not valid
             weight = 1 / np.maximum(np.abs(ahead - behind) / 2, 1e-6) ** 2
         # A weighted mean may leave its terms' range by a rounding error.
-        chosen = np.clip((c * weight).sum(axis=1) / weight.sum(axis=1), c.min(axis=1), c.max(axis=1))
+        combined = np.clip((c * weight).sum(axis=1) / weight.sum(axis=1), c.min(axis=1), c.max(axis=1))
     # Back to shares of the box's height, measured from its top in the unflipped image.
-    shares = (np.concatenate([c, chosen[:, None]], axis=1) - y0[:, None]) / height
+    shares = (np.concatenate([c, combined[:, None]], axis=1) - y0[:, None]) / height
     shares = np.where(below[:, None], 1 - shares, shares)
     shares[~valid] = np.nan
     return MaskLabels(boxes, shares[:, 2], shares[:, :2], valid)
@@ -201,9 +218,10 @@ def _candidates(
     on_side: NDArray[np.bool_] | None = None,
     towards: Array | None = None,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """y of the top front edge by tangents of these slopes (N, 2); VPU lies above.
+    """Return the y (N, 2) of the top front edge by tangents of slopes (N, 2), and which leave through a side.
 
-    `on_side` and `towards` keep the branch of other slopes, to measure how a candidate moves within it.
+    VPU lies above the box. With `on_side` and `towards` of other slopes the branch of those is kept, which measures
+    how a candidate moves within it.
     """
     towards = slopes if towards is None else towards
     side = np.where(towards > 0, x1, x0)

@@ -1,10 +1,13 @@
 """Rectification: the homography that makes two of the road's directions axis-parallel.
 
-Convention: pixels are areas (see `camera`); matrices are float64, act on column vectors (x, y, 1) and map
-frame pixels to rectified pixels. They are signed so that the third coordinate is positive on the road.
+Convention:
+    Points are (..., 2) float64 px as x, y, x right, y down; boxes (..., 4) as x0, y0, x1, y1. Pixels are areas (see
+    `labelgen.geometry.camera`). Sizes are (width, height), images (H, W) or (H, W, C), masks (H, W).
+    Matrices are (3, 3) float64, act on column vectors (x, y, 1) and map frame px to rectified px. They are signed so
+    that the third coordinate is positive on the road.
 
-Source: Kocur & Ftacnik 2020, section 3.2 (mask and coverage rule, with the frame as what must be covered);
-Kocur 2019 (whole frame); both keep the vertical direction of traffic.
+Source: Kocur & Ftacnik 2020, section 3.2 (road mask and coverage rule, the frame being what must be covered);
+Kocur 2019 (whole frame).
 """
 
 from __future__ import annotations
@@ -24,103 +27,33 @@ from labelgen.choices import Pair, Region
 from labelgen.errors import RectificationError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array, apply_homography, bounding_boxes, clip_polygon, translation
+from labelgen.geometry.rectifying_homography import rectify_windows
 from labelgen.geometry.road_mask import RoadMask
 
-__all__ = ["CROP_STEP", "MIN_COVERAGE", "Rectification", "rectify_windows"]
+__all__ = ["CROP_STEP", "MIN_COVERAGE", "Rectification"]
 
 CROP_STEP = 5
-"""Rows cropped from the road mask's bottom per step of the coverage rule."""
+"""Rows cropped from the road mask's bottom per step of the coverage rule, px: more are faster and crop more."""
 MIN_COVERAGE = 0.8
-"""Share of the rectified image that the coverage rule asks for."""
-
-
-def rectify_windows(
-    vps: ArrayLike, hulls: ArrayLike, pair: Pair, size_wh: tuple[int, int]
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Rectifying homographies of N convex regions at once; the one formula behind every variant.
-
-    The region's bounding tangents through the two vanishing points become the borders of the target, with
-    the side that is lower in the frame at the bottom and without a reflection.
-
-    Args:
-        vps: (N, 3, 2) or (3, 2) px, VP1, VP2, VP3.
-        hulls: (N, K, 2) px, points whose convex hull is the region.
-        pair: which vanishing points go to infinity.
-        size_wh: target size, px.
-
-    Returns:
-        matrices (N, 3, 3), and valid (N,): False where the line joining the two vanishing points crosses
-        the region, or the region has no area; such matrices are NaN.
-    """
-    hulls = np.asarray(hulls, dtype=np.float64)
-    vps = np.broadcast_to(np.asarray(vps, dtype=np.float64), (len(hulls), 3, 2))
-    # Work in coordinates of order one: vanishing points reach 1e5 px.
-    boxes = bounding_boxes(hulls)
-    centre = (boxes[:, :2] + boxes[:, 2:]) / 2
-    unit = np.maximum((boxes[:, 2:] - boxes[:, :2]).max(axis=1), 1e-9)
-    points = np.concatenate([(hulls - centre[:, None]) / unit[:, None, None], np.ones((*hulls.shape[:2], 1))], -1)
-    vps_h = np.concatenate([(vps - centre[:, None]) / unit[:, None, None], np.ones((*vps.shape[:2], 1))], -1)
-    vps_h /= np.linalg.norm(vps_h, axis=-1, keepdims=True)
-
-    horizontal, vertical = vps_h[:, 1], vps_h[:, pair.vertical - 1]
-    inner = points.mean(axis=1)
-    spread = (points - inner[:, None])[..., :2]
-    # Sum of squares of a region one unit long, so its determinant tells how thin it is.
-    with np.errstate(invalid="ignore"):
-        flat_region = np.linalg.det(np.swapaxes(spread, -1, -2) @ spread) < 1e-12
-    to_infinity = np.cross(horizontal, vertical)
-    basis = np.stack([np.cross(vertical, inner), np.cross(horizontal, inner), to_infinity], axis=1)
-    norm = np.linalg.norm(basis, axis=-1, keepdims=True)
-    basis /= np.where(norm > 0, norm, 1)
-    basis *= np.sign(np.einsum("ni,ni->n", basis[:, 2], inner))[:, None, None]
-    mapped = points @ np.swapaxes(basis, -1, -2)
-    w = mapped[..., 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        flat = mapped[..., :2] / w[..., None]
-    # Directions: no reflection (positive determinant), and what moves down the frame along lines through the
-    # vertical vanishing point moves down the output.
-    along = vertical[:, :2] * inner[:, 2:] - inner[:, :2] * vertical[:, 2:]
-    along *= np.where(along[:, 1:] < 0, -1.0, 1.0)
-    up = np.where(np.einsum("ni,ni->n", basis[:, 1, :2], along) >= 0, 1.0, -1.0)
-    with np.errstate(invalid="ignore"):
-        right = up * np.where(np.linalg.det(basis) >= 0, 1.0, -1.0)
-    basis[:, 0] *= right[:, None]
-    basis[:, 1] *= up[:, None]
-    flat = flat * np.stack([right, up], axis=1)[:, None]
-    low, high = flat.min(axis=1), flat.max(axis=1)
-    extent = high - low
-    valid = ~flat_region & (w > 1e-9).all(axis=1) & (extent > 1e-12).all(axis=1) & np.isfinite(extent).all(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.asarray(size_wh, dtype=np.float64) / extent
-        to_target = np.zeros((len(points), 3, 3))
-        to_target[:, 0, 0], to_target[:, 1, 1], to_target[:, 2, 2] = gain[:, 0], gain[:, 1], 1.0
-        to_target[:, :2, 2] = -low * gain
-        to_unit = np.zeros((len(points), 3, 3))
-        to_unit[:, 0, 0] = to_unit[:, 1, 1] = 1 / unit
-        to_unit[:, :2, 2] = -centre / unit[:, None]
-        to_unit[:, 2, 2] = 1.0
-        matrices = to_target @ basis @ to_unit
-        matrices /= np.linalg.norm(matrices, axis=(-2, -1), keepdims=True)
-    matrices[~valid] = np.nan
-    return matrices, valid
+"""Least share of the rectified image that lies inside the frame (paper section 3.2): more crops more of the road."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rectification:
-    """One homography, with everything needed to use it in both directions.
+    """A rectifying homography, which warps points, boxes, images and masks both ways.
 
     Args:
-        pair: the vanishing points made axis-parallel.
+        pair: the vanishing points whose directions become axis-parallel.
         size_wh: size of the rectified image, px.
-        matrix: (3, 3) frame px -> rectified px, of either sign; kept with the sign of the convention above.
-        vpu: (2,) the unused vanishing point in rectified px.
-        frame_wh: size of the frame, px.
-        frame_coverage: share of the rectified image that lies inside the frame.
+        matrix: (3, 3) frame px -> rectified px, of either sign; stored with the sign of the convention above.
+        vpu: (2,) rectified px, the unused vanishing point.
+        frame_wh: size of the frame, px, where known.
+        frame_coverage: share of the rectified image that lies inside the frame; NaN where unknown.
         road_area: share of the rectified image that is road (of the uncropped mask); NaN without a mask.
-        crop_steps: how many steps the coverage rule cropped from the mask's bottom.
+        crop_steps: number of steps by which the coverage rule cropped the mask's bottom.
 
     Raises:
-        RectificationError: a matrix or VPU that is not finite or not invertible.
+        RectificationError: a matrix or VPU of another shape, not finite or not invertible; a size that is not positive.
     """
 
     pair: Pair
@@ -161,7 +94,14 @@ class Rectification:
     def of_region(
         cls, region: Region, camera: Camera, road: RoadMask, pair: Pair, size_wh: tuple[int, int]
     ) -> Rectification:
-        """Rectification of a scene's road, of the whole frame as in the earlier method, or none: the frame resized.
+        """Return the rectification of the road, of the whole frame, or none: the frame resized.
+
+        Args:
+            region: what to rectify.
+            camera: of the frame.
+            road: the road mask; its size is the frame's.
+            pair: the vanishing points whose directions become axis-parallel.
+            size_wh: size of the rectified image, px.
 
         Raises:
             RectificationError: see `from_road_mask` and `from_window`.
@@ -187,15 +127,23 @@ class Rectification:
         min_coverage: float = MIN_COVERAGE,
         crop_step: int = CROP_STEP,
     ) -> Rectification:
-        """Rectification around a road mask (paper section 3.2).
+        """Return the rectification around a road mask (Kocur & Ftacnik 2020, section 3.2).
 
-        The mask is cropped from the bottom, `crop_step` rows at a time, until `min_coverage` of the output
-        lies inside the camera frame (`cover="frame"`, what the published numbers used) or inside the mask
-        itself (`cover="mask"`, what the paper's text says; most VP2-VP3 scenes never reach it).
+        The mask is cropped from the bottom until enough of the rectified image is covered.
+
+        Args:
+            camera: of the frame.
+            mask: (H, W) or (H, W, C) of the frame's size.
+            pair: the vanishing points whose directions become axis-parallel.
+            size_wh: size of the rectified image, px.
+            cover: what must be covered: "frame", as for the published numbers; or "mask", as the paper's text says,
+                which most VP2-VP3 scenes never reach.
+            min_coverage: least share of the rectified image inside it.
+            crop_step: rows cropped at a time.
 
         Raises:
-            RectificationError: the mask is empty or of another size than the frame, a vanishing point lies
-                inside it, the line joining the two crosses it, or it is cropped away.
+            RectificationError: the mask is empty or of another size than the frame, a vanishing point lies inside its
+                hull, the line that joins the two crosses it, or nothing of it is left.
         """
         if crop_step < 1:
             raise RectificationError(f"rectification: expected crop_step >= 1, got {crop_step}")
@@ -218,7 +166,7 @@ class Rectification:
                 break
             hull = road.hull(below)
             if crossed and _line_crosses(camera.vp2, camera.vanishing_point(pair.vertical), hull):
-                continue  # what lies abreast of the camera is cropped like what lies outside the frame
+                continue  # the rows beside the camera are cropped like those outside the frame
             rect = cls._from_hull(camera, hull, pair, size_wh, road.size_wh, step)
             if cover == "frame" and rect.frame_coverage < min_coverage:
                 continue
@@ -233,13 +181,20 @@ class Rectification:
 
     @classmethod
     def from_window(cls, camera: Camera, window_xyxy: ArrayLike, pair: Pair, size_wh: tuple[int, int]) -> Rectification:
-        """Rectification of a whole rectangle of the frame, without mask or coverage rule.
+        """Return the rectification of a rectangle of the frame, without road mask and coverage rule.
 
-        With the whole frame it is the earlier method (rows Previous2D and Previous3D); with a crop's
-        rectangle it is how BoxCars crops are rectified.
+        The rectangle is the whole frame for the method of Kocur 2019 (Previous2D, Previous3D) and the crop for
+        BoxCars116k.
+
+        Args:
+            camera: of the frame.
+            window_xyxy: (4,) frame px.
+            pair: the vanishing points whose directions become axis-parallel.
+            size_wh: size of the rectified image, px.
 
         Raises:
-            RectificationError: the line joining the two vanishing points crosses the window.
+            RectificationError: the window has no area, a vanishing point lies inside it, or the line that joins the
+                two crosses it.
         """
         _check_size(size_wh)
         x0, y0, x1, y1 = (float(v) for v in np.asarray(window_xyxy, dtype=np.float64))
@@ -282,29 +237,29 @@ class Rectification:
 
     @property
     def corners_px(self) -> Array:
-        """(4, 2) the rectified image's corners in frame pixels: top left, top right, bottom right, bottom left."""
+        """(4, 2) frame px, the rectified image's corners: top left, top right, bottom right, bottom left."""
         w, h = self.size_wh
         return self.points_back(np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64))
 
     def _coverage_of_frame(self) -> float:
         assert self.frame_wh is not None
         (w, h), (frame_w, frame_h) = self.size_wh, self.frame_wh
-        seen = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64)
-        # Where a rectified point comes from is (x, y, w); the frame's four borders, as x >= 0 or x <= frame_w * w,
-        # are lines of the rectified image too, and together they leave only w >= 0.
+        covered = np.array([[0, 0], [w, 0], [w, h], [0, h]], dtype=np.float64)
+        # A rectified point comes from (x, y, w) in the frame. The frame's borders, x >= 0 or x <= frame_w * w, are
+        # lines of the rectified image, too, and all four together imply w >= 0.
         x, y, scale = self.inverse
         for border in (x, y, frame_w * scale - x, frame_h * scale - y):
-            seen = clip_polygon(seen, border)
-        return float(shapely.Polygon(seen).area) / (w * h) if len(seen) > 2 else 0.0
+            covered = clip_polygon(covered, border)
+        return float(shapely.Polygon(covered).area) / (w * h) if len(covered) > 2 else 0.0
 
     # -- warping, both ways -------------------------------------------------------------------------
 
     def points(self, points_px: ArrayLike) -> Array:
-        """Frame px (..., 2) -> rectified px; NaN beyond the line that goes to infinity."""
+        """Map frame px (..., 2) to rectified px; NaN on and beyond the line that maps to infinity."""
         return _map(self.matrix, points_px)
 
     def polygon_inside(self, polygon_px: ArrayLike) -> Array:
-        """The part of a convex frame polygon (K, 2) that lies in the rectified image, rectified px (J, 2), J >= 0."""
+        """Return the part (J, 2), rectified px, of a convex frame polygon (K, 2) inside the image; J may be 0."""
         (w, h), (x, y, depth) = self.size_wh, self.matrix
         inside = np.asarray(polygon_px, dtype=np.float64)
         for border in (depth, x, w * depth - x, y, h * depth - y):
@@ -312,19 +267,23 @@ class Rectification:
         return np.clip(self.points(inside), 0, self.size_wh)
 
     def points_back(self, points_rectified: ArrayLike) -> Array:
-        """Rectified px (..., 2) -> frame px."""
+        """Map rectified px (..., 2) to frame px."""
         return _map(self.inverse, points_rectified)
 
     def boxes(self, boxes_xyxy: ArrayLike) -> Array:
-        """Frame boxes (N, 4) -> the axis-aligned boxes (N, 4) around them in the rectified image."""
+        """Return the axis-aligned boxes (N, 4), rectified px, around frame boxes (N, 4)."""
         return bounding_boxes(self.points(_box_corners(boxes_xyxy)))
 
     def boxes_back(self, boxes_xyxy: ArrayLike) -> Array:
-        """Rectified boxes (N, 4) -> the axis-aligned boxes (N, 4) around them in the frame."""
+        """Return the axis-aligned boxes (N, 4), frame px, around rectified boxes (N, 4)."""
         return bounding_boxes(self.points_back(_box_corners(boxes_xyxy)))
 
     def pixel_matrix(self, origin_px: tuple[float, float] = (0.0, 0.0)) -> Array:
-        """The matrix for OpenCV, whose coordinates name pixel centres, for an image that starts at `origin_px`."""
+        """Return the matrix (3, 3) for OpenCV, whose coordinates are those of pixel centres.
+
+        Args:
+            origin_px: frame px of the image's first pixel.
+        """
         x, y = origin_px
         return translation(-0.5, -0.5) @ self.matrix @ translation(x + 0.5, y + 0.5)
 
@@ -335,24 +294,44 @@ class Rectification:
         origin_px: tuple[float, float] = (0.0, 0.0),
         interpolation: int = cv2.INTER_LINEAR,
     ) -> NDArray[Any]:
-        """Rectify an image (H, W[, C]) whose first pixel lies at `origin_px` of the frame; black outside."""
+        """Warp an image of the frame, or a part of it, into the rectified image.
+
+        Args:
+            image: (H, W) or (H, W, C).
+            origin_px: frame px of the image's first pixel.
+            interpolation: OpenCV's flag.
+
+        Returns:
+            (h, w) or (h, w, C) of the rectified size and the image's type; 0 outside the image.
+        """
         out = cv2.warpPerspective(image, self.pixel_matrix(origin_px), self.size_wh, flags=interpolation)
         return np.asarray(out)
 
     def warp_image_back(self, image: NDArray[Any], frame_wh: tuple[int, int] | None = None) -> NDArray[Any]:
-        """Put a rectified image back into the frame; black outside."""
+        """Warp a rectified image back into the frame.
+
+        Args:
+            image: (h, w) or (h, w, C) of the rectified size.
+            frame_wh: size of the frame, px; None for the one that is stored.
+
+        Returns:
+            (H, W) or (H, W, C); 0 outside the rectified image.
+
+        Raises:
+            RectificationError: the frame's size is not known.
+        """
         size = frame_wh or self.frame_wh
         if size is None:
-            raise RectificationError("warp_image_back: the frame's size is not known; pass frame_wh")
+            raise RectificationError("frame_wh: the frame's size is not known; pass it", parameter="frame_wh")
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(image, self.pixel_matrix(), size, flags=flags))
 
     def warp_mask(self, mask: NDArray[Any], *, origin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
-        """Rectify a mask (H, W), any non-zero value being set: linear interpolation, cut at half."""
+        """Warp a mask (H, W), any non-zero value being set, into the rectified image: bilinear, thresholded at half."""
         return self.warp_image(_levels(mask), origin_px=origin_px) >= 128
 
     def warp_mask_back(self, mask: NDArray[Any], frame_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
-        """Put a rectified mask, any non-zero value being set, back into the frame."""
+        """Warp a rectified mask (h, w), any non-zero value being set, back into the frame; see `warp_image_back`."""
         return self.warp_image_back(_levels(mask), frame_wh) >= 128
 
 
@@ -362,7 +341,7 @@ def _check_size(size_wh: tuple[int, int]) -> None:
 
 
 def _levels(mask: NDArray[Any]) -> NDArray[np.uint8]:
-    """A mask as 0 and 255."""
+    """Return a mask as 0 and 255."""
     return np.where(mask, np.uint8(255), np.uint8(0))
 
 
@@ -372,10 +351,10 @@ def _map(matrix: Array, points: ArrayLike) -> Array:
 
 
 def _visible_sign(matrix: Array, size_wh: tuple[int, int]) -> float:
-    """The sign that makes the third coordinate positive where the rectified image's centre lies; 0 if singular."""
+    """Return the sign that makes the third coordinate positive at the rectified image's centre; 0 if singular."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
     det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    # The third row of the adjugate, on the centre: the depth there, but for the determinant's sign.
+    # Third row of the adjugate times the centre: the depth there up to the determinant's sign.
     depth = (d * h - e * g) * size_wh[0] / 2 + (b * g - a * h) * size_wh[1] / 2 + (a * e - b * d)
     return float(np.sign(det) * np.sign(depth)) if depth else float(np.sign(det))
 
@@ -396,7 +375,7 @@ def _check_vanishing_points_outside(camera: Camera, hull: Array, pair: Pair, wha
 
 
 def _line_crosses(start: Array, end: Array, hull: Array) -> bool:
-    """Whether the infinite line through two points touches a convex hull (K, 2)."""
+    """Return whether the infinite line through two points touches a convex hull (K, 2)."""
     direction = end - start
     sides = direction[0] * (hull[:, 1] - start[1]) - direction[1] * (hull[:, 0] - start[0])
     return not (bool((sides > 0).all()) or bool((sides < 0).all()))

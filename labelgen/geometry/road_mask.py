@@ -1,4 +1,9 @@
-"""Road masks: which pixels are road, and the convex hull around them."""
+"""Road masks: which pixels are road, and the convex hull around them.
+
+Convention:
+    Masks are (H, W) bool, one value a pixel of the frame; pixel (column j, row i) covers [j, j + 1) x [i, i + 1), so
+    that hulls, (K, 2) float64 px as x, y, run along pixel borders.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +20,19 @@ __all__ = ["RoadMask", "binary_mask"]
 
 
 def binary_mask(mask: NDArray[Any]) -> NDArray[np.bool_]:
-    """(H, W) bool from a mask image (H, W) or (H, W, C): set where at least half of its type's range.
+    """Threshold a mask image at half of its type's range.
 
-    Masks in the data are JPEG-like: neither strictly 0/255 nor free of stray values. Float masks run from 0 to 1.
-    Of colour images any channel counts, but not the alpha channel that comes second or fourth.
+    Masks of the data sets come from lossy images: values other than 0 and 255 occur. Of colour images the greatest
+    channel counts; the alpha channel, second or fourth, does not.
+
+    Args:
+        mask: (H, W) or (H, W, C), of any integer type, bool, or float in [0, 1].
+
+    Returns:
+        (H, W) bool.
+
+    Raises:
+        RectificationError: another shape, or float values above 1.
     """
     if mask.ndim == 3 and mask.shape[2] > 0:
         mask = mask[..., : 1 if mask.shape[2] == 2 else 3].max(axis=2)
@@ -35,10 +49,18 @@ def binary_mask(mask: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 class RoadMask:
-    """A thresholded road mask with its rows' extents, so that hulls of cropped masks cost little.
+    """A thresholded road mask that keeps the extent of each row, so that hulls of cropped masks cost little.
 
     Args:
-        mask: (H, W) or (H, W, C) image, thresholded at half range; any number of components.
+        mask: (H, W) or (H, W, C) image, thresholded by `binary_mask`; any number of components.
+
+    Attributes:
+        pixels: (H, W) bool, True on the road.
+        size_wh: width and height, px.
+        rows: (R,) int64, the rows that hold road, ascending.
+
+    Raises:
+        RectificationError: no pixel is road, or the mask is no image.
     """
 
     def __init__(self, mask: NDArray[Any]) -> None:
@@ -53,14 +75,17 @@ class RoadMask:
 
     @property
     def bottom(self) -> int:
-        """One past the lowest row that holds road."""
+        """Number of the row below the lowest one that holds road."""
         return int(self.rows[-1]) + 1
 
     def hull(self, rows_below: int | None = None) -> Array:
-        """Convex hull (K, 2) px of the mask's pixel areas, of the rows above `rows_below` alone if given.
+        """Return the convex hull (K, 2), px, of the mask's pixel areas.
+
+        Args:
+            rows_below: the first row that is left out; None to use all rows.
 
         Raises:
-            RectificationError: nothing of the mask is left above that row.
+            RectificationError: no row above it holds road.
         """
         keep = slice(None) if rows_below is None else self.rows < rows_below
         y, left, right = self.rows[keep], self._left[keep], self._right[keep]
@@ -71,7 +96,7 @@ class RoadMask:
         return cv2.convexHull(corners)[:, 0].astype(np.float64)
 
     def cropped(self, rows_below: int) -> NDArray[np.bool_]:
-        """(H, W) copy with all rows from `rows_below` on cleared."""
+        """Return a copy (H, W) bool of the mask, all rows from `rows_below` on cleared."""
         out = self.pixels.copy()
         out[rows_below:] = False
         return out

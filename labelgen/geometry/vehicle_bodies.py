@@ -1,8 +1,10 @@
-"""A few common vehicles as sets of points whose convex hull is the body: what the scale is measured with.
+"""Convex bodies of common vehicle types, with which the scale and contact points are measured.
 
-The forms are those of the synthetic renderer in their mean proportions: what a hatchback, a saloon or a van looks like
-on average. Vehicles of a type differ in length, width and height, and a mask says little about each of them; that is
-what `SIZE_SPREAD` allows for. `python -m tools.studies.common_bodies` makes their file.
+The shapes are those of the synthetic renderer in their mean proportions. `SIZE_SPREAD` states how the vehicles of one
+type differ from them. `python -m tools.studies.common_bodies` writes their file.
+
+Convention:
+    Points are (V, 3) float64 metres: x ahead, y to the left, z up, from the middle of the vehicle's floor.
 """
 
 from __future__ import annotations
@@ -19,22 +21,21 @@ from labelgen.geometry.homography import Array
 __all__ = ["BODIES_FILE", "COMMON_KINDS", "SIZE_SPREAD", "Body", "common_bodies"]
 
 SIZE_SPREAD = (0.06, 0.03, 0.04)
-"""Standard deviations of the length, width and height of the vehicles of one type, in shares."""
+"""Standard deviations of length, width and height within one type, as shares of the mean."""
 COMMON_KINDS = ("supermini", "hatchback", "saloon", "estate", "suv", "minivan", "van")
-"""The types that make up most of European traffic. Lorries and buses vary too much in size to measure with."""
+"""The types that make up most of European traffic. Lorries and buses are left out: their sizes vary too much."""
 BODIES_FILE = "common_bodies.json"
-"""Each type's share in traffic, and the corners of its hull, millimetres."""
+"""JSON file with each type's share in traffic and the corners of its convex hull in millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The body of a common type of vehicle.
+    """The mean body of a common vehicle type.
 
     Args:
-        kind: its name.
-        share: how common it is among the types used here; they sum to 1.
-        points: (V, 3) metres, x ahead, y left, z up, around the middle of its floor: corners of its convex hull. Its
-            wing mirrors are among them, as they are in its silhouettes.
+        kind: name of the type.
+        share: its share in traffic among the types used here; all shares sum to 1.
+        points: (V, 3) metres, corners of its convex hull, wing mirrors included, as in silhouettes.
     """
 
     kind: str
@@ -44,9 +45,10 @@ class Body:
 
 @cache
 def common_bodies() -> tuple[Body, ...]:
-    """One body of each common type."""
-    kept = json.loads(Path(__file__).with_name(BODIES_FILE).read_text(encoding="utf-8"))
-    total = sum(kept[kind]["share"] for kind in COMMON_KINDS)
+    """Return one body of each common type."""
+    bodies = json.loads(Path(__file__).with_name(BODIES_FILE).read_text(encoding="utf-8"))
+    total = sum(bodies[kind]["share"] for kind in COMMON_KINDS)
     return tuple(
-        Body(kind, kept[kind]["share"] / total, np.array(kept[kind]["corners_mm"]) / 1000.0) for kind in COMMON_KINDS
+        Body(kind, bodies[kind]["share"] / total, np.array(bodies[kind]["corners_mm"]) / 1000.0)
+        for kind in COMMON_KINDS
     )

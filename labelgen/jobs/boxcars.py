@@ -16,7 +16,8 @@ from labelgen.choices import Pair
 from labelgen.datasets.boxcars116k import BoxCars, Instance
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.homography import apply_homography
-from labelgen.geometry.rectification import Rectification, rectify_windows
+from labelgen.geometry.rectification import Rectification
+from labelgen.geometry.rectifying_homography import rectify_windows
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_boxes import label_boxes
 from labelgen.labels import Labels, Sample, Split

@@ -1,4 +1,4 @@
-"""Instance masks of one frame -> labels of the rectified frame, with a reason for every mask that gives none."""
+"""Labels of a rectified frame from its instance masks, with a reason for every mask that gives none."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from labelgen.masks import InstanceMasks
 
 __all__ = ["LABEL_LIMITS", "LabelLimits", "MaskReject", "flat_labels", "label_masks"]
 
-_DISAGREE = 0.1
-_BORDER_PX = 1.0
-
 
 @dataclass(frozen=True)
 class LabelLimits:
-    """What a mask must be to become a label.
-
-    Args:
-        min_height_px: least height of the rectified box: below it, half a pixel is too much of c_c.
-        min_on_road: least share of the mask that lies on the road mask, unless its foot does.
-        least_m, most_m: bounds for length, width and height of the 3D box, metres. Wide, because a calibration
-            by hand may be off by a third; they are there to refuse people, and several vehicles in one mask.
-    """
+    """Thresholds for labels from masks."""
 
     min_height_px: float = 10.0
+    """Least height of the rectified box, px: in lower boxes half a pixel is too large a share of c_c."""
     min_on_road: float = 0.25
-    least_m: tuple[float, float, float] = (1.2, 0.5, 0.6)
-    most_m: tuple[float, float, float] = (30.0, 4.5, 6.0)
+    """Least share of the mask on the road mask, unless the contact point lies on it. More loses tall vehicles at the
+    road's edge, less keeps parked ones beside it."""
+    min_size_lwh_m: tuple[float, float, float] = (1.2, 0.5, 0.6)
+    """Least length, width and height of the 3D box, metres: refuses people. Wide, as calibrations made by hand may be
+    wrong by a third."""
+    max_size_lwh_m: tuple[float, float, float] = (30.0, 4.5, 6.0)
+    """Largest length, width and height of the 3D box, metres: refuses several vehicles in one mask."""
+    max_candidate_difference: float = 0.1
+    """Largest difference of the two candidates for c_c that is not flagged: more, and the outline is not a box's."""
+    border_px: float = 1.0
+    """A box that ends less than this inside the rectified image's border is flagged as truncated, px."""
 
 
 LABEL_LIMITS = LabelLimits()
 MaskReject = tuple[int, str, str]
-"""Number of the mask, reason, detail."""
+"""Number of the mask in its frame, reason, detail."""
 
 
 def label_masks(
@@ -58,15 +58,15 @@ def label_masks(
     """Label the vehicles of one frame.
 
     Args:
-        masks: instance masks in the frame.
+        masks: instance masks of the frame.
         rectification: of the frame.
-        camera: for sizes in metres; without a scale they are not judged.
-        road: (H, W) road mask.
-        rule: how c_c's two candidates become one.
-        limits: what to refuse.
+        camera: of the frame; without a scale, sizes in metres are not tested.
+        road: (H, W) bool road mask of the frame.
+        rule: how the two candidates become one c_c.
+        limits: thresholds.
 
     Returns:
-        labels, and a reject for each mask that is not among them.
+        Labels of the rectified frame, and a reject for each mask without a label.
     """
     rejects: list[MaskReject] = []
     outlines: list[RectifiedOutline] = []
@@ -83,13 +83,13 @@ def label_masks(
     if not numbers:
         return Labels.empty(), rejects
     index = np.array(numbers)
-    found = label_outlines(outlines, rectification.vpu, rule)
-    # Judge what will be stored: float32.
-    boxes = found.boxes_xyxy.astype(np.float32).astype(np.float64)
-    cc = np.clip(found.cc, 0, 1).astype(np.float32).astype(np.float64)
+    mask_labels = label_outlines(outlines, rectification.vpu, rule)
+    # Shards store float32, so the label is what can be decoded from float32.
+    boxes = mask_labels.boxes_xyxy.astype(np.float32).astype(np.float64)
+    cc = np.clip(mask_labels.cc, 0, 1).astype(np.float32).astype(np.float64)
     vertices, valid = decode_boxes(boxes, cc, rectification.vpu)
-    valid &= found.valid
-    cut = _truncated(boxes, rectification.size_wh) | _at_frame_border(masks, index)
+    valid &= mask_labels.valid
+    cut = _truncated(boxes, rectification.size_wh, limits.border_px) | _at_frame_border(masks, index)
     on_road = _on_road(
         masks, index, road, rectification.points_back(front_bottom_midpoints(vertices)), limits.min_on_road
     )
@@ -98,7 +98,7 @@ def label_masks(
     for j, i in enumerate(numbers):
         reason = None
         if not valid[j]:
-            reason = ("no valid 3D box", f"c_c {cc[j]:.3f}" if found.valid[j] else "VPU lies within its height")
+            reason = ("no valid 3D box", f"c_c {cc[j]:.3f}" if mask_labels.valid[j] else "VPU lies within its height")
         elif not on_road[j]:
             reason = ("off the road", "")
         elif bad_size[j] and not cut[j]:
@@ -106,7 +106,7 @@ def label_masks(
         if reason:
             rejects.append((i, *reason))
             keep[j] = False
-    disagree = np.abs(np.diff(found.candidates, axis=1))[:, 0] > _DISAGREE
+    disagree = np.abs(np.diff(mask_labels.candidates, axis=1))[:, 0] > limits.max_candidate_difference
     flags = Flag.TRUNCATED * cut + Flag.CANDIDATES_DISAGREE * disagree + Flag.TOUCHING * _touching(masks)[index]
     labels = Labels(
         boxes[keep],
@@ -114,7 +114,7 @@ def label_masks(
         masks.class_ids[index][keep],
         masks.scores[index][keep],
         flags[keep].astype(np.uint16),
-        found.candidates[keep],
+        mask_labels.candidates[keep],
     )
     return labels, sorted(rejects)
 
@@ -125,28 +125,35 @@ def flat_labels(
     road: NDArray[np.bool_],
     limits: LabelLimits = LABEL_LIMITS,
 ) -> tuple[Labels, list[MaskReject]]:
-    """Label the vehicles of one frame that is resized but not rectified: 2D boxes with `Flag.FLAT`.
+    """Label the vehicles of one frame that is resized but not rectified: 2D boxes without c_c, with `Flag.FLAT`.
 
-    Args, returns: as of `label_masks`.
+    Args:
+        masks: instance masks of the frame.
+        rectification: the resizing, `Rectification.of_region(Region.NONE, ...)`.
+        road: (H, W) bool road mask of the frame.
+        limits: thresholds; sizes in metres are not tested.
+
+    Returns:
+        Labels of the resized frame, and a reject for each mask without a label.
     """
     rejects: list[MaskReject] = []
-    boxes, kept = [], []
+    boxes, numbers = [], []
     for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
         low = np.asarray(origin, dtype=np.float64)
         box = rectification.boxes([[*low, *(low + crop.shape[::-1])]])[0]
-        foot = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
+        contact_point = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
         if (height := box[3] - box[1]) < limits.min_height_px:
             rejects.append((i, *_too_small(height, limits)))
-        elif not _on_road(masks, np.array([i]), road, foot, limits.min_on_road)[0]:
+        elif not _on_road(masks, np.array([i]), road, contact_point, limits.min_on_road)[0]:
             rejects.append((i, "off the road", ""))
         else:
             boxes.append(box)
-            kept.append(i)
-    if not kept:
+            numbers.append(i)
+    if not numbers:
         return Labels.empty(), rejects
-    index = np.array(kept)
+    index = np.array(numbers)
     flags = Flag.FLAT + Flag.TRUNCATED * _at_frame_border(masks, index) + Flag.TOUCHING * _touching(masks)[index]
-    zeros = np.zeros(len(kept))
+    zeros = np.zeros(len(numbers))
     return Labels(np.array(boxes), zeros, masks.class_ids[index], masks.scores[index], flags.astype(np.uint16)), rejects
 
 
@@ -154,9 +161,9 @@ def _too_small(height: float, limits: LabelLimits) -> tuple[str, str]:
     return "too small", f"{height:.1f} px high, at least {limits.min_height_px:g} wanted"
 
 
-def _truncated(boxes: Array, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
-    low = (boxes[:, :2] < _BORDER_PX).any(axis=1)
-    high = (boxes[:, 2:] > np.asarray(size_wh) - _BORDER_PX).any(axis=1)
+def _truncated(boxes: Array, size_wh: tuple[int, int], border_px: float) -> NDArray[np.bool_]:
+    low = (boxes[:, :2] < border_px).any(axis=1)
+    high = (boxes[:, 2:] > np.asarray(size_wh) - border_px).any(axis=1)
     return np.asarray(low | high)
 
 
@@ -167,17 +174,17 @@ def _at_frame_border(masks: InstanceMasks, index: NDArray[np.int64]) -> NDArray[
 
 
 def _on_road(
-    masks: InstanceMasks, index: NDArray[np.int64], road: NDArray[np.bool_], feet_px: Array, least: float
+    masks: InstanceMasks, index: NDArray[np.int64], road: NDArray[np.bool_], contact_points_px: Array, min_share: float
 ) -> NDArray[np.bool_]:
-    """Whether the foot of the box, or enough of the mask, is on the road."""
+    """Return which boxes have their contact point, or enough of their mask, on the road."""
     out = np.zeros(len(index), dtype=np.bool_)
     height, width = road.shape
     for j, i in enumerate(index.tolist()):
         (x, y), crop = masks.origins[i].tolist(), masks.crops[i]
         share = road[y : y + crop.shape[0], x : x + crop.shape[1]][crop].mean()
-        fx, fy = feet_px[j] if np.isfinite(feet_px[j]).all() else (-1.0, -1.0)
-        inside = 0 <= fx < width and 0 <= fy < height
-        out[j] = share >= least or (inside and road[int(fy), int(fx)])
+        cx, cy = contact_points_px[j] if np.isfinite(contact_points_px[j]).all() else (-1.0, -1.0)
+        inside = 0 <= cx < width and 0 <= cy < height
+        out[j] = share >= min_share or (inside and road[int(cy), int(cx)])
     return out
 
 
@@ -188,12 +195,12 @@ def _implausible(
         return np.zeros(len(vertices), dtype=np.bool_), np.full((len(vertices), 3), np.nan)
     sizes = cuboid_sizes(rectification.points_back(vertices), camera)
     with np.errstate(invalid="ignore"):
-        bad = np.asarray(~((sizes >= limits.least_m) & (sizes <= limits.most_m)).all(axis=1))
+        bad = np.asarray(~((sizes >= limits.min_size_lwh_m) & (sizes <= limits.max_size_lwh_m)).all(axis=1))
     return bad, sizes
 
 
 def _touching(masks: InstanceMasks) -> NDArray[np.bool_]:
-    """(N,) which masks have another one next to them."""
+    """Return which of N masks (N,) touch another one."""
     n = len(masks)
     out = np.zeros(n, dtype=np.bool_)
     low = masks.origins.reshape(-1, 2)
@@ -202,13 +209,14 @@ def _touching(masks: InstanceMasks) -> NDArray[np.bool_]:
     for a, b in zip(*np.nonzero(np.triu(near, 1)), strict=True):
         x0, y0 = np.minimum(low[a], low[b]).tolist()
         x1, y1 = np.maximum(high[a], high[b]).tolist()
-        grown, other = (_placed(masks, i, (x0 - 1, y0 - 1, x1 + 1, y1 + 1)) for i in (a, b))
-        if np.logical_and(cv2.dilate(grown, np.ones((3, 3), np.uint8)), other).any():
+        first, second = (_paste(masks, i, (x0 - 1, y0 - 1, x1 + 1, y1 + 1)) for i in (a, b))
+        if np.logical_and(cv2.dilate(first, np.ones((3, 3), np.uint8)), second).any():
             out[[a, b]] = True
     return out
 
 
-def _placed(masks: InstanceMasks, i: int, window: Sequence[int]) -> NDArray[np.uint8]:
+def _paste(masks: InstanceMasks, i: int, window: Sequence[int]) -> NDArray[np.uint8]:
+    """Return one mask on a canvas that covers a window x0, y0, x1, y1 of the frame."""
     canvas = np.zeros((window[3] - window[1], window[2] - window[0]), dtype=np.uint8)
     (x, y), crop = masks.origins[i].tolist(), masks.crops[i]
     canvas[y - window[1] : y - window[1] + crop.shape[0], x - window[0] : x - window[0] + crop.shape[1]] = crop

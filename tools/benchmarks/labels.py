@@ -94,7 +94,7 @@ def _write_video(root: Path, taken: int, every: int) -> Path:
                 images.append({"id": n, "file_name": "clip.mp4", "frame": n, "width": 1920, "height": 1080})
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="bgr24")))
         container.mux(stream.encode())
-    (root / "clip.calibration.json").write_text(json.dumps(camera.to_dict()))
+    camera.save(root / "clip.calibration.json")
     road = np.zeros((1080, 1920), np.uint8)
     cv2.fillConvexPoly(
         road, camera.project([[17.0, -6.0], [17.0, -16.0], [48.0, -16.0], [48.0, -6.0]]).astype(np.int32), 255
