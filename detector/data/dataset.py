@@ -24,8 +24,8 @@ from detector.model.vehicle_size import scene_vector, transform_scene
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
 from labelgen.geometry.homography import Array
-from labelgen.labels import Labels
-from labelgen.shards import ShardReader, ShardSet
+from labelgen.labels import Labels, Sample
+from labelgen.shards import ShardDataset, ShardReader
 
 __all__ = [
     "Batch",
@@ -81,7 +81,7 @@ class ShardSource:
         crops: whether they are crops of single vehicles, to be put on black, rather than whole pictures.
     """
 
-    shards: ShardSet
+    shards: ShardDataset[Sample]
     weight: float
     crops: bool
 
@@ -103,7 +103,7 @@ def open_sources(
     for text in map(str, paths):
         place, _, number = text.rpartition(":")
         weight = _weight(number) if place and not Path(text).exists() else None
-        shards = ShardSet([text if weight is None else place])
+        shards = ShardDataset([text if weight is None else place])
         crops = [reader.settings.get("kind") == CROPS for reader in shards.readers]
         if len(set(crops)) > 1:
             raise DataError(f"{text}: it holds both crops and whole pictures; name their folders one by one")
@@ -273,7 +273,7 @@ class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         shards: the samples.
     """
 
-    def __init__(self, shards: ShardSet) -> None:
+    def __init__(self, shards: ShardDataset[Sample]) -> None:
         self.shards = shards
 
     def __len__(self) -> int:

@@ -152,10 +152,10 @@ def _boxes(source: ShardSource, preset: Preset, size_wh: tuple[int, int]) -> Arr
 def _open_validation(paths: Sequence[str | Path], metadata: ModelMetadata) -> ValidationSamples | None:
     if not paths:
         return None
-    from labelgen.shards import ShardSet
+    from labelgen.shards import ShardDataset
 
     open_sources(paths, metadata.pair, metadata.size_wh)  # refuses what does not fit
-    return ValidationSamples(ShardSet(paths))
+    return ValidationSamples(ShardDataset(paths))
 
 
 def _same_card(stored: Any, metadata: ModelMetadata, path: Path) -> ModelMetadata:

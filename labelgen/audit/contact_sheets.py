@@ -14,7 +14,7 @@ from labelgen.drawing import crop_around, draw_box3d, draw_label, draw_text, fit
 from labelgen.errors import OutputError
 from labelgen.geometry.homography import apply_homography, bounding_boxes
 from labelgen.labels import Flag, Sample, VehicleClass
-from labelgen.shards import ShardSet
+from labelgen.shards import ShardDataset
 
 __all__ = ["frame_sheets", "label_sheets", "pick_labels", "save_picture"]
 
@@ -38,7 +38,7 @@ def save_picture(path: Path, picture: NDArray[np.uint8]) -> Path:
     return path
 
 
-def pick_labels(data: ShardSet, count: int, seed: int) -> list[tuple[int, int]]:
+def pick_labels(data: ShardDataset[Sample], count: int, seed: int) -> list[tuple[int, int]]:
     """(sample, label) numbers of labels chosen at random, in order."""
     per_sample = np.concatenate([np.diff(reader.table("labels/offset")) for reader in data.readers])
     starts = np.concatenate([[0], np.cumsum(per_sample)])
@@ -49,7 +49,7 @@ def pick_labels(data: ShardSet, count: int, seed: int) -> list[tuple[int, int]]:
 
 
 def label_sheets(
-    data: ShardSet, originals: Originals, out: Path, *, count: int = 50, per_sheet: int = 10, seed: int = 0
+    data: ShardDataset[Sample], originals: Originals, out: Path, *, count: int = 50, per_sheet: int = 10, seed: int = 0
 ) -> list[Path]:
     """Sheets of labels chosen at random, each on the rectified image and, if at hand, on the original.
 
@@ -63,7 +63,7 @@ def label_sheets(
     return _write_sheets(tiles, out, "labels", per_sheet, 2)
 
 
-def frame_sheets(data: ShardSet, out: Path, *, count: int = 12, per_sheet: int = 6) -> list[Path]:
+def frame_sheets(data: ShardDataset[Sample], out: Path, *, count: int = 12, per_sheet: int = 6) -> list[Path]:
     """Sheets of whole rectified images with all their labels, spread evenly, so that missing labels show."""
     numbers = sorted({int(n) for n in np.linspace(0, len(data) - 1, min(count, len(data)))})
     tiles = []

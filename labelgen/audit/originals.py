@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError
+from labelgen.labels import Sample
 from labelgen.media.image_file import read_image
 from labelgen.media.open_frames import open_frames
-from labelgen.shards import ShardSet
+from labelgen.shards import ShardDataset
 from labelgen.shards.index import read_index
 
 __all__ = ["Originals"]
@@ -25,7 +26,7 @@ class Originals:
         data: the shards.
     """
 
-    def __init__(self, data: ShardSet) -> None:
+    def __init__(self, data: ShardDataset[Sample]) -> None:
         self._data = data
         self._places: dict[Path, dict[str, Any]] = {}
         for folder in {reader.path.parent for reader in data.readers}:

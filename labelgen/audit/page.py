@@ -19,9 +19,10 @@ from labelgen.audit.step_figures import mask_label_figure, rectification_figure
 from labelgen.choices import Rule
 from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError, LabelgenError
+from labelgen.labels import Sample
 from labelgen.masks import create_mask_source, masked_frames, prime_masks
 from labelgen.media.open_frames import open_frames
-from labelgen.shards import ShardSet, summarise
+from labelgen.shards import ShardDataset, summarise
 
 __all__ = ["Audit", "make_audit"]
 
@@ -57,7 +58,7 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
     Raises:
         DataError: no label in the shards.
     """
-    data = ShardSet(shards)
+    data = ShardDataset(shards)
     if not any(reader.label_count for reader in data.readers):
         raise DataError(f"{shards[0]}: no label in these shards, there is nothing to look at")
     kinds = sorted({f"{reader.pair} {reader.attributes['size']}" for reader in data.readers})
@@ -78,7 +79,7 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
     return audit
 
 
-def _explain(data: ShardSet, originals: Originals, out: Path, audit: Audit) -> None:
+def _explain(data: ShardDataset[Sample], originals: Originals, out: Path, audit: Audit) -> None:
     """Figures of the steps for the first sample whose original is at hand."""
     sample = data[0]
     picture = originals.read([0])[0]
@@ -106,7 +107,7 @@ def _explain(data: ShardSet, originals: Originals, out: Path, audit: Audit) -> N
             audit.pictures["Steps from mask to label"] = [save_picture(out / "mask-to-label.png", found)]
 
 
-def _mask_figure(data: ShardSet, source: dict[str, Any]) -> NDArray[np.uint8] | str:
+def _mask_figure(data: ShardDataset[Sample], source: dict[str, Any]) -> NDArray[np.uint8] | str:
     """The figure for the first labelled frame, made with the same mask source; or why there is none."""
     sample = data[0]
     frames = open_frames(Path(source["path"]))
@@ -130,7 +131,7 @@ def _mask_figure(data: ShardSet, source: dict[str, Any]) -> NDArray[np.uint8] | 
     return "no mask of the first labelled frame gives a label"
 
 
-def _write_page(data: ShardSet, audit: Audit) -> None:
+def _write_page(data: ShardDataset[Sample], audit: Audit) -> None:
     summary = summarise(data.readers)
     rows = [
         ("shards", summary.shards),

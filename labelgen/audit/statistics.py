@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from labelgen.shards import ShardSet, summarise
+from labelgen.labels import Sample
+from labelgen.shards import ShardDataset, summarise
 
 __all__ = ["draw_statistics"]
 
 
-def draw_statistics(data: ShardSet, path: Path) -> Path:
+def draw_statistics(data: ShardDataset[Sample], path: Path) -> Path:
     """Write one figure with six panels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

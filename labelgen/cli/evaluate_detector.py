@@ -13,7 +13,7 @@ from labelgen.cli.options import JsonOption, print_table, write_json_report
 if TYPE_CHECKING:
     from detector.inference import Detector
     from labelgen.labels import Labels, Sample
-    from labelgen.shards import ShardSet
+    from labelgen.shards import ShardDataset
 
 __all__ = ["evaluate_detector"]
 
@@ -35,12 +35,12 @@ def evaluate_detector(
     from detector.data.dataset import open_sources
     from detector.inference import load_detector
     from detector.metrics import evaluate_detections
-    from labelgen.shards import ShardSet
+    from labelgen.shards import ShardDataset
 
     detector = load_detector(checkpoint, device=device)
     metadata = detector.metadata
     open_sources(shards, metadata.pair, metadata.size_wh)
-    samples = ShardSet(shards)
+    samples = ShardDataset(shards)
     result = evaluate_detections(_run(detector, samples, batch), score=score, min_height_px=metadata.min_height_px)
     size = "{}x{}".format(*metadata.size_wh)
     typer.echo(f"{checkpoint.name} ({metadata.preset}, {metadata.pair}, {size}) on {len(samples)} pictures")
@@ -48,7 +48,7 @@ def evaluate_detector(
     write_json_report(json_file, {"checkpoint": str(checkpoint), "preset": metadata.preset, **result})
 
 
-def _run(detector: Detector, samples: ShardSet, batch: int) -> Iterator[tuple[Sample, Labels]]:
+def _run(detector: Detector, samples: ShardDataset[Sample], batch: int) -> Iterator[tuple[Sample, Labels]]:
     from tqdm import tqdm
 
     with tqdm(total=len(samples), unit="img") as bar:

@@ -64,9 +64,9 @@ def _pictures(shards: Path, metadata: ModelMetadata) -> list[NDArray[np.float32]
     import numpy as np
 
     from detector.data.dataset import open_sources
-    from labelgen.shards import ShardSet
+    from labelgen.shards import ShardDataset
 
     open_sources([shards], metadata.pair, metadata.size_wh)
-    samples = ShardSet([shards])
+    samples = ShardDataset([shards])
     chosen = np.unique(np.linspace(0, len(samples) - 1, _CHECKED).astype(int)).tolist()
     return [samples[i].image[:, :, ::-1].transpose(2, 0, 1).astype(np.float32) / np.float32(255) for i in chosen]

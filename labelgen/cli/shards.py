@@ -27,10 +27,10 @@ def inspect(shards: ShardsArgument, json_file: JsonOption = None) -> None:
     import numpy as np
 
     from labelgen.labels import Flag, Split, VehicleClass
-    from labelgen.shards import ShardSet, summarise
+    from labelgen.shards import ShardDataset, summarise
 
     check_report_path(json_file)
-    data = ShardSet(shards)
+    data = ShardDataset(shards)
     summary = summarise(data.readers)
     summary.warnings += _unfinished(shards)
     first = data.readers[0]

@@ -1,6 +1,6 @@
-"""The HDF5 shard format: schema, writer, reader, index, validation and merging. The only room that knows h5py."""
+"""Shards, the HDF5 files of labelled images: write, read, index, validate and merge them."""
 
-from labelgen.shards.dataset import ShardSet, find_shards
+from labelgen.shards.dataset import ShardDataset, find_shards
 from labelgen.shards.index import DatasetSummary, read_index, summarise, write_index
 from labelgen.shards.merge import merge_shards
 from labelgen.shards.reader import ShardReader
@@ -11,8 +11,8 @@ from labelgen.shards.writer import ShardWriter
 __all__ = [
     "DatasetSummary",
     "Reject",
+    "ShardDataset",
     "ShardReader",
-    "ShardSet",
     "ShardWriter",
     "find_shards",
     "merge_shards",

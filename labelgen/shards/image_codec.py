@@ -1,4 +1,4 @@
-"""How rectified images are stored in shards."""
+"""The encoding of rectified images in shards."""
 
 from __future__ import annotations
 
@@ -19,21 +19,31 @@ class ImageCodec:
     """JPEG of a quality, or PNG.
 
     Args:
-        quality: JPEG quality 1-100; None for lossless PNG.
+        quality: JPEG quality from 1 to 100; None for lossless PNG.
+
+    Raises:
+        LabelgenError: a quality outside of this range.
     """
 
     quality: int | None = 95
 
     def __post_init__(self) -> None:
         if self.quality is not None and not 1 <= self.quality <= 100:
-            raise LabelgenError(f"--quality {self.quality}: expected 1 to 100")
+            raise LabelgenError(f"quality {self.quality}: expected 1 to 100", parameter="quality")
 
     def describe(self) -> dict[str, Any]:
-        """For the shard's settings."""
+        """Return the codec as entries of the shards' settings."""
         return {"image": "png" if self.quality is None else "jpeg", "quality": self.quality}
 
     def encode(self, image: NDArray[np.uint8]) -> bytes:
-        """Bytes of a BGR image (H, W, 3)."""
+        """Encode an image.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+
+        Raises:
+            LabelgenError: an array that cannot be encoded.
+        """
         if self.quality is None:
             ok, data = cv2.imencode(".png", image)
         else:

@@ -1,4 +1,4 @@
-"""The index of a data set: dataset.json and rejects.jsonl, made from its shards."""
+"""The index of a data set: `dataset.json` and `rejects.jsonl`, made from its shards."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class DatasetSummary:
     """Counts of a data set or a job.
 
     Args:
-        images: rectified images.
-        labels: vehicles labelled.
-        rejects: inputs that gave no label.
-        shards: files.
-        reasons: rejects by reason.
-        warnings: what a person should know.
-        extra: further figures of the job.
+        images: number of rectified images.
+        labels: number of labels.
+        rejects: number of inputs without a label.
+        shards: number of files.
+        reasons: number of rejects by reason.
+        warnings: problems that a user must know.
+        extra: further figures, by name.
     """
 
     images: int = 0
@@ -55,7 +55,7 @@ class DatasetSummary:
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """For --json."""
+        """Return the counts as plain values for JSON."""
         return {
             "images": self.images,
             "labels": self.labels,
@@ -68,7 +68,11 @@ class DatasetSummary:
 
 
 def summarise(readers: Sequence[ShardReader]) -> DatasetSummary:
-    """Counts over shards; each is closed again after it was counted."""
+    """Count what shards hold; each is closed afterwards.
+
+    Raises:
+        DataError: a shard is missing or damaged.
+    """
     summary = DatasetSummary(shards=len(readers))
     for reader in readers:
         summary.images += len(reader)
@@ -82,13 +86,17 @@ def summarise(readers: Sequence[ShardReader]) -> DatasetSummary:
 def write_index(
     folder: Path, shards: Sequence[Path], job: Mapping[str, Any], originals: Mapping[str, Any] | None = None
 ) -> None:
-    """Write rejects.jsonl and, last of all, dataset.json: a data set with an index is complete.
+    """Write `rejects.jsonl` and then `dataset.json`: a data set that has an index is complete.
 
     Args:
         folder: of the data set.
         shards: its files, in order.
-        job: what made them.
-        originals: where the originals lie on this machine, for looking at labels; by the shard's name or its source.
+        job: the job that made them, as plain values.
+        originals: where the original images lie on this machine, by the shard's name or its source; the audit uses it.
+
+    Raises:
+        DataError: a shard is missing or damaged.
+        OutputError: the files cannot be written.
     """
     index, rejects = build_index(shards)
     for entry in index["shards"]:
@@ -99,7 +107,7 @@ def write_index(
 
 
 def build_index(shards: Sequence[Path]) -> tuple[dict[str, Any], bytes]:
-    """What the shards themselves say that the index and the rejects file must hold."""
+    """Return the index and the bytes of the rejects file that belong to shards, from what the shards hold."""
     entries: list[dict[str, Any]] = []
     rejects: list[bytes] = []
     reasons: Counter[str] = Counter()
@@ -135,16 +143,16 @@ def build_index(shards: Sequence[Path]) -> tuple[dict[str, Any], bytes]:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
+    """Return the SHA-256 of a file's bytes, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_index(folder: Path) -> dict[str, Any]:
-    """dataset.json of a folder.
+    """Return the index of a data set, the parsed `dataset.json` of its folder.
 
     Raises:
-        DataError: missing or damaged.
+        DataError: it is missing or damaged.
     """
     path = folder / INDEX_NAME
     try:

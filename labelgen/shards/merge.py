@@ -1,4 +1,4 @@
-"""Merging finished data sets into one, without touching what the shards say."""
+"""Merging finished data sets into one, without a change to their content."""
 
 from __future__ import annotations
 
@@ -19,40 +19,43 @@ __all__ = ["merge_shards"]
 def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     """Copy shards of several data sets into one folder, renumbered, with a common index.
 
-    Shards that hold the same content are taken once.
+    Of shards with the same content the first is copied.
 
     Args:
-        paths: shards or folders, all of one pair and size.
+        paths: shards or folders of shards, all of one pair and size.
         out: a new or empty folder.
+
+    Returns:
+        Counts of the merged data set.
 
     Raises:
         DataError: shards of different pairs or sizes, or damaged ones; nothing is written then.
         OutputError: the folder cannot be written.
     """
     shards = find_shards(paths)
-    kept: dict[str, Path] = {}
+    by_hash: dict[str, Path] = {}
     kinds: dict[tuple[str, str], Path] = {}
     for path in shards:
         with ShardReader(path) as reader:
             kinds.setdefault((reader.attributes["pair"], reader.attributes["size"]), path)
-            kept.setdefault(reader.attributes[HASH_ATTRIBUTE], path)
+            by_hash.setdefault(reader.attributes[HASH_ATTRIBUTE], path)
     if len(kinds) > 1:
-        seen = "; ".join(f"{path}: {pair} {size}" for (pair, size), path in kinds.items())
-        raise DataError(f"cannot merge shards of different pairs or sizes ({seen}); merge each kind on its own")
+        listed = "; ".join(f"{path}: {pair} {size}" for (pair, size), path in kinds.items())
+        raise DataError(f"cannot merge shards of different pairs or sizes ({listed}); merge each kind on its own")
     originals: dict[str, Any] = {}
-    known = {folder: _originals(folder) for folder in {path.parent for path in shards}}
+    by_folder = {folder: _originals(folder) for folder in {path.parent for path in shards}}
     make_folder(out)
     written = []
-    for number, path in enumerate(kept.values()):
+    for number, path in enumerate(by_hash.values()):
         target = out / f"shard-{number:05d}.h5"
         write_atomic(target, path.read_bytes())
-        originals[target.name] = known[path.parent].get(path.name, {})
+        originals[target.name] = by_folder[path.parent].get(path.name, {})
         written.append(target)
-    job = {"command": "merge", "inputs": sorted(str(folder) for folder in known)}
+    job = {"command": "merge", "inputs": sorted(str(folder) for folder in by_folder)}
     write_index(out, written, job, originals)
     summary = summarise([ShardReader(path) for path in written])
-    if len(kept) < len(shards):
-        summary.warnings.append(f"{len(shards) - len(kept)} shards were there twice and are taken once")
+    if len(by_hash) < len(shards):
+        summary.warnings.append(f"{len(shards) - len(by_hash)} shards were there twice and are taken once")
     return summary
 
 

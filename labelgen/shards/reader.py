@@ -1,4 +1,4 @@
-"""Reading shards: lazily, in any process."""
+"""Reading one shard. Files are opened at the first access, in each process anew."""
 
 from __future__ import annotations
 
@@ -31,15 +31,19 @@ _STALE_AFTER_UNPICKLING = ("_tables", "_labels", "attributes")
 
 
 class ShardReader:
-    """One shard. Opens its file at the first access, anew in each process, so it can be pickled and forked.
+    """One shard as a sequence of samples.
 
-    Everything but the image bytes is read at once and kept: it is small.
+    Its file is opened at the first access, anew in each process, so that readers can be pickled and forked. All fields
+    but the images are then read at once and kept in memory.
 
     Args:
         path: the shard.
 
+    Attributes:
+        path: the shard.
+
     Raises (at the first access):
-        DataError: not a shard, damaged, or of a newer format.
+        DataError: the file is missing, not a shard, damaged, or of a newer format.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -82,29 +86,29 @@ class ShardReader:
             self._images = None
         return self._file
 
-    # -- what the file says of itself ----------------------------------------------------------------
+    # -- attributes and fields ------------------------------------------------------------------------
 
     @cached_property
     def attributes(self) -> dict[str, Any]:
         """Format, version, pair, size, source, part, settings and content hash."""
         file = self._open()
         with self._damage():
-            found = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
-            missing = [key for key in (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE) if key not in found]
+            values = {k: value.item() if isinstance(value, np.generic) else value for k, value in file.attrs.items()}
+            missing = [key for key in (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE) if key not in values]
             missing += [name for name in FIELDS if name not in file]
-        if found.get("format") != FORMAT:
+        if values.get("format") != FORMAT:
             raise DataError(f"{self.path}: not a labelgen shard")
-        if found.get("version") != VERSION:
+        if values.get("version") != VERSION:
             raise DataError(
-                f"{self.path}: shard format {found.get('version')}, this labelgen reads {VERSION}; use the other one"
+                f"{self.path}: shard format {values.get('version')}, this labelgen reads {VERSION}; use the other one"
             )
         if missing:
             raise DataError(f"{self.path}: damaged, it lacks {', '.join(missing)}; make it again")
-        return found
+        return values
 
     @contextlib.contextmanager
     def _damage(self) -> Iterator[None]:
-        """What HDF5 and the parsers raise on flipped bits becomes one clear error."""
+        """Turn what HDF5 and the parsers raise on damaged content into a DataError that names the file."""
         try:
             yield
         except _DAMAGE as err:
@@ -127,7 +131,7 @@ class ShardReader:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What made the labels."""
+        """What decides the labels, as plain values."""
         with self._damage():
             return dict(json.loads(self.attributes["settings"]))
 
@@ -143,7 +147,7 @@ class ShardReader:
         return tables
 
     def table(self, name: str) -> NDArray[Any]:
-        """A whole field by its name in the format, for instance "labels/cc"."""
+        """Return a whole field by its name in the format, for instance "labels/cc"."""
         return self._tables[name]
 
     def __len__(self) -> int:
@@ -156,13 +160,13 @@ class ShardReader:
 
     @cached_property
     def rejects(self) -> list[Reject]:
-        """The inputs of this shard that gave no label."""
+        """The inputs of this shard without a label."""
         with self._damage():
             return from_json_lines(self.table("rejects").tobytes())
 
     @cached_property
     def cameras(self) -> list[Camera]:
-        """The calibrations used."""
+        """The cameras of all samples, each once."""
         rows = zip(
             *(self.table(f"cameras/{key}") for key in ("vp1", "vp2", "pp", "scale", "size", "name")), strict=True
         )
@@ -172,19 +176,19 @@ class ShardReader:
         ]
 
     def camera(self, index: int) -> Camera:
-        """The calibration of one sample."""
+        """Return the camera of one sample."""
         return self.cameras[int(self.table("samples/camera")[index])]
 
     # -- samples ------------------------------------------------------------------------------------
 
     def labels(self, index: int) -> Labels:
-        """Labels of one sample."""
+        """Return the labels of one sample."""
         start, stop = self.table("labels/offset")[index : index + 2].tolist()
         return self._labels[start:stop]
 
     @cached_property
     def _labels(self) -> Labels:
-        """Those of all samples: checked at once, not sample by sample in the middle of a training."""
+        """The labels of all samples, validated once for the whole shard."""
         names = ("box", "cc", "class", "score", "flags", "candidates")
         try:
             return Labels(*(self.table(f"labels/{name}") for name in names))
@@ -192,17 +196,17 @@ class ShardReader:
             raise DataError(f"{self.path}: damaged ({err}); make it again") from None
 
     def encoded(self, index: int) -> bytes:
-        """JPEG or PNG bytes of one sample."""
+        """Return the JPEG or PNG bytes of one sample's image."""
         start, stop = self.table("images/offset")[index : index + 2].tolist()
         file = self._open()
         with self._damage():
             if self._images is None:
-                # Looking a data set up takes as long as reading a picture from it.
+                # HDF5 takes as long to look a data set up as to read an image from it.
                 self._images = ByteStrip(file["images/bytes"])
             return self._images.read(start, stop)
 
     def rectification(self, index: int) -> Rectification:
-        """Rectification of one sample, from the original frame."""
+        """Return the rectification of one sample, from the original frame."""
         camera = self.camera(index)
         return Rectification(
             self.pair,
@@ -237,13 +241,13 @@ def _size(size: NDArray[np.int32]) -> tuple[int, int] | None:
 
 
 class ByteStrip:
-    """A one-dimensional uint8 data set of an open file.
+    """A one-dimensional uint8 HDF5 data set, read by ranges of bytes.
 
-    Shards are written in one piece, so a range of them is one read of the file: HDF5's own way to it takes as long as
-    decoding a small picture, and one thread at a time. What another program has chunked or packed goes through HDF5.
+    A contiguous data set is read from the file itself: HDF5 takes as long for it as the decoding of a small image, and
+    serves one thread at a time. A chunked or compressed data set is read through HDF5.
 
     Args:
-        dataset: it; its file stays open as long as this is used.
+        dataset: the data set; its file must stay open.
     """
 
     def __init__(self, dataset: h5py.Dataset) -> None:
@@ -253,17 +257,17 @@ class ByteStrip:
         self._handle = int(dataset.file.id.get_vfd_handle()) if self._start is not None else -1
 
     def read(self, start: int, stop: int) -> bytes:
-        """The bytes from `start` to before `stop`.
+        """Return the bytes from `start` to before `stop`.
 
         Raises:
             ValueError: no such range.
-            OSError: the file cannot be read, or ends before.
+            OSError: the file cannot be read, or ends within the range.
         """
         if not 0 <= start <= stop <= self._size:
             raise ValueError(f"bytes {start} to {stop} of {self._size} asked for")
         if self._start is None:
-            packed: bytes = self._dataset[start:stop].tobytes()
-            return packed
+            content: bytes = self._dataset[start:stop].tobytes()
+            return content
         data = os.pread(self._handle, stop - start, self._start + start)
         if len(data) < stop - start:
             raise OSError("the file ends within an image")

@@ -1,4 +1,4 @@
-"""Rejects: inputs that gave no label, each with its reason, so that nothing disappears silently."""
+"""Rejects: inputs without a label, each with its reason."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class Reject:
     """One input without a label.
 
     Args:
-        source: which file or item of the data set.
+        source: name of the file or of the item of the data set.
         frame: frame or instance number; -1 where there is none.
-        item: number of the mask in its frame; -1 where the whole image is meant.
-        reason: a short constant phrase, to be counted by.
-        detail: what exactly was wrong here.
+        item: number of the mask in its frame; -1 for the whole image.
+        reason: a short phrase that is the same for all rejects of a kind; they are counted by it.
+        detail: what was wrong with this input.
     """
 
     source: str
@@ -29,10 +29,10 @@ class Reject:
 
 
 def to_json_lines(rejects: Iterable[Reject]) -> bytes:
-    """One JSON object a line, UTF-8."""
+    """Return rejects as JSON lines, UTF-8."""
     return b"".join(json.dumps(asdict(reject), ensure_ascii=False).encode() + b"\n" for reject in rejects)
 
 
 def from_json_lines(data: bytes) -> list[Reject]:
-    """The reverse of `to_json_lines`."""
+    """Parse the bytes of `to_json_lines`."""
     return [Reject(**json.loads(line)) for line in data.splitlines()]

@@ -1,4 +1,4 @@
-"""The shard format, version 1: what a file holds, field by field.
+"""The shard format, version 1, field by field.
 
     shard-00000.h5      attributes: format, version, producer, pair, size, source, part, last, settings (JSON),
                         content_sha256
@@ -14,7 +14,10 @@
       cameras/scale     float64 (C,)       NaN: unknown                        cameras/size   int32 (C, 2), 0: unknown
       rejects           uint8 (bytes,)     JSON lines: every input of this shard that gave no label, and why
 
-Many small ragged things in few large arrays, so that a reader does one slice per field.
+Images and labels of all samples are joined into few large arrays, so that a sample is one slice of each.
+
+Convention:
+    Boxes are x0, y0, x1, y1 in rectified px, pixels being areas; homographies act on column vectors (x, y, 1).
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ TEXT = "text"
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """One dataset: its type, how many rows it has, and the shape of a row.
+    """One HDF5 data set: its type, its number of rows, and the shape of a row.
 
     Args:
         dtype: NumPy type string, or `TEXT`.
@@ -80,7 +83,12 @@ FIELDS: Mapping[str, FieldSpec] = {
 
 
 def content_hash(attributes: Mapping[str, Any], arrays: Mapping[str, NDArray[Any] | list[str]]) -> str:
-    """SHA-256 of what a shard says, independent of how HDF5 lays it out and of who produced it."""
+    """Return the SHA-256 of a shard's content, which depends neither on HDF5's layout nor on the producer's version.
+
+    Args:
+        attributes: values of `REQUIRED_ATTRIBUTES`.
+        arrays: values of `FIELDS`.
+    """
     digest = hashlib.sha256()
     for key in REQUIRED_ATTRIBUTES:
         if key != "producer":

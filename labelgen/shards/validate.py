@@ -1,4 +1,4 @@
-"""Checking shards: every rule of the format, every value, and the content hash."""
+"""Validation of shards: the rules of the format, all values and images, and the content hash."""
 
 from __future__ import annotations
 
@@ -25,9 +25,13 @@ _UNREADABLE = (OSError, RuntimeError, LookupError, TypeError, ValueError, Memory
 
 
 def validate_shards(paths: Sequence[str | Path]) -> dict[Path, list[str]]:
-    """Problems by file or folder; empty lists where all is well.
+    """Return the problems of shards and folders, by path; an empty list where there are none.
 
-    Folders are checked against their index as well.
+    Args:
+        paths: shards and folders; folders are compared with their index as well.
+
+    Raises:
+        DataError: a path does not exist, or a folder holds no shards.
     """
     problems: dict[Path, list[str]] = {}
     for path in map(Path, paths):
@@ -37,14 +41,18 @@ def validate_shards(paths: Sequence[str | Path]) -> dict[Path, list[str]]:
             except DataError as err:
                 problems[path] = [str(err)]
     for shard in find_shards(paths):
-        # HDF5 itself can fail hard on a changed file: what its folder's index disowns is not opened.
-        if not any(found.startswith(f"{shard.name}: ") for found in problems.get(shard.parent, [])):
+        # HDF5 itself may crash on a changed file: files that differ from their index are not opened.
+        if not any(problem.startswith(f"{shard.name}: ") for problem in problems.get(shard.parent, [])):
             problems[shard] = validate_shard(shard)
     return problems
 
 
 def validate_folder(folder: Path) -> list[str]:
-    """Whether a folder's shards are the ones its index names, and whether index and rejects say what they say."""
+    """Return the differences between a folder's shards and its index and rejects file.
+
+    Raises:
+        DataError: the index is missing or damaged.
+    """
     index = read_index(folder)
     names = [str(entry["name"]) for entry in index["shards"]]
     present = {path.name: path for path in folder.glob("shard-*.h5")}
@@ -88,7 +96,7 @@ def _attributes(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
 
 
 def content_is_intact(path: Path) -> bool:
-    """Whether a shard is whole and still says what was written."""
+    """Return whether a shard is readable and its content has the hash that was written with it."""
     try:
         with ShardReader(path) as reader:
             attributes = reader.attributes
@@ -98,7 +106,7 @@ def content_is_intact(path: Path) -> bool:
 
 
 def validate_shard(path: str | Path) -> list[str]:
-    """What is wrong with a shard: fields, types, offsets, values, images, content hash."""
+    """Return the problems of one shard: fields, types, offsets, values, images, content hash."""
     with ShardReader(path) as reader:
         try:
             attributes = reader.attributes

@@ -1,4 +1,4 @@
-"""Writing one shard: collected in memory, put on disk whole or not at all."""
+"""Writing one shard: samples are collected in memory and written as one file."""
 
 from __future__ import annotations
 
@@ -24,15 +24,23 @@ __all__ = ["ShardWriter"]
 
 
 class ShardWriter:
-    """Context manager that writes one shard when it is left without an exception.
+    """Context manager that writes one shard when its block ends without an exception.
 
     Args:
-        path: final name; it appears only when the shard is whole.
+        path: the file; it appears when the shard is complete.
         pair: vanishing-point pair of all samples.
         size_wh: size of all images, px.
-        source: name of the source whose part this is.
-        part: number of this shard among its source's, from 0.
-        settings: what made the labels; the same settings and input give the same bytes.
+        source: name of the input that the samples come from.
+        part: number of this shard among those of its source, from 0.
+        settings: what decides the labels, as plain values; the same settings and input give the same bytes.
+
+    Attributes:
+        path: the file.
+        last: whether this is the last shard of its source; to be set before the block ends.
+        content_sha256: hash of the content, once written.
+
+    Raises (at the end of the block):
+        OutputError: the file cannot be written; nothing is left of it.
     """
 
     def __init__(
@@ -75,24 +83,24 @@ class ShardWriter:
 
     @property
     def part(self) -> int:
-        """Number of this shard among its source's."""
+        """Number of this shard among those of its source, from 0."""
         return int(self._attributes["part"])
 
     @property
     def labels(self) -> int:
-        """Number of labels so far."""
+        """Number of labels added."""
         return sum(len(sample.labels) for sample in self._samples)
 
     @property
     def rejects(self) -> list[Reject]:
-        """Rejects so far."""
+        """The rejects added."""
         return self._rejects
 
     def add(self, sample: Sample) -> None:
-        """Append a sample; its rectification must be of the shard's pair and size.
+        """Append a sample.
 
         Raises:
-            ValueError: of another pair or size.
+            ValueError: its rectification is of another pair or size than the shard.
         """
         rectification = sample.rectification
         size = f"{rectification.size_wh[0]}x{rectification.size_wh[1]}"
@@ -104,7 +112,7 @@ class ShardWriter:
         self._samples.append(sample)
 
     def reject(self, reject: Reject) -> None:
-        """Note an input that gave no label."""
+        """Append an input without a label."""
         self._rejects.append(reject)
 
     def _finish(self) -> None:
@@ -112,7 +120,7 @@ class ShardWriter:
         attributes = {**self._attributes, "last": int(self.last)}
         self.content_sha256 = content_hash(attributes, arrays)
         attributes[HASH_ATTRIBUTE] = self.content_sha256
-        # Built in memory, so that a full disk is a plain write error and never a half-written HDF5 file.
+        # In memory first, so that a full disk gives a write error and no damaged HDF5 file.
         with h5py.File("shard", "w", driver="core", backing_store=False, libver=("earliest", "v110")) as file:
             for key, value in attributes.items():
                 file.attrs[key] = value
@@ -129,7 +137,7 @@ class ShardWriter:
         samples = self._samples
         labels = Labels.concatenate([sample.labels for sample in samples])
         cameras: dict[Camera, int] = {}
-        which = [cameras.setdefault(sample.camera, len(cameras)) for sample in samples]
+        camera_rows = [cameras.setdefault(sample.camera, len(cameras)) for sample in samples]
         sizes = [camera.image_wh or (0, 0) for camera in cameras]
         scales = [np.nan if camera.scale is None else camera.scale for camera in cameras]
         return {
@@ -145,7 +153,7 @@ class ShardWriter:
             "samples/matrix": np.array([s.rectification.matrix for s in samples]).reshape(-1, 3, 3),
             "samples/vpu": np.array([s.rectification.vpu for s in samples]).reshape(-1, 2),
             "samples/window": np.array([s.window_xyxy for s in samples], dtype=np.float64).reshape(-1, 4),
-            "samples/camera": np.array(which, dtype=np.int32),
+            "samples/camera": np.array(camera_rows, dtype=np.int32),
             "samples/source": [sample.source for sample in samples],
             "samples/frame": np.array([sample.frame for sample in samples], dtype=np.int64),
             "samples/time": np.array([sample.time_s for sample in samples], dtype=np.float64),

@@ -27,13 +27,13 @@ from detector.data.dataset import TrainingSamples, collate, make_loader, open_so
 from detector.model.vehicle_size import scene_vector
 from detector.training.config import find_preset
 from labelgen.labels import Labels, Sample
-from labelgen.shards import ShardSet
+from labelgen.shards import ShardDataset
 
 _PER_TAR = 500
 _BATCH = 8
 
 
-def write_plain(shards: ShardSet, folder: Path) -> None:
+def write_plain(shards: ShardDataset[Sample], folder: Path) -> None:
     """NUMBER.jpg and NUMBER.json."""
     for i in range(len(shards)):
         sample = shards[i]
@@ -41,7 +41,7 @@ def write_plain(shards: ShardSet, folder: Path) -> None:
         (folder / f"{i:06d}.json").write_bytes(_to_json(sample))
 
 
-def write_tars(shards: ShardSet, folder: Path) -> list[str]:
+def write_tars(shards: ShardDataset[Sample], folder: Path) -> list[str]:
     """The same in tar files."""
     paths = []
     for start in range(0, len(shards), _PER_TAR):
@@ -120,7 +120,7 @@ def benchmark(paths: Sequence[Path], samples: int, rounds: int, workers: int) ->
     import webdataset
 
     sources = open_sources(paths)
-    shards = ShardSet(paths)
+    shards = ShardDataset(paths)
     size_wh = shards.readers[0].size_wh
     preset = find_preset("small")
     training = TrainingSamples(sources, size_wh, preset.whole, preset.crops, 0)

@@ -22,7 +22,7 @@ from detector.data.dataset import (
 )
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
-from labelgen.shards import ShardSet
+from labelgen.shards import ShardDataset
 
 SIZE = (160, 96)
 WHOLE = AugmentationRanges(0.2, (0.8, 1.4), 1.2, 0.5, 0.2)
@@ -123,7 +123,7 @@ def test_a_data_set_travels_to_other_processes(folders: dict[str, Path]) -> None
 
 
 def test_validation_is_unaltered_and_in_order(folders: dict[str, Path]) -> None:
-    shards = ShardSet([folders["a"]])
+    shards = ShardDataset([folders["a"]])
     batches = list(make_loader(ValidationSamples(shards), batch=4))
     assert [batch.indices for batch in batches] == [[0, 1, 2, 3], [4, 5]]
     np.testing.assert_array_equal(batches[0].images[0].permute(1, 2, 0).numpy()[:, :, ::-1], shards[0].image)

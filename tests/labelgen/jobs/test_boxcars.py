@@ -19,7 +19,7 @@ from boxcars_trees import CAMERAS, write_tree
 
 from labelgen.errors import DataError
 from labelgen.labels import Flag, Split
-from labelgen.shards import ShardReader, ShardSet, validate_shards
+from labelgen.shards import ShardDataset, ShardReader, validate_shards
 
 EVERYTHING = ("--cameras", "all", "--all-directions")
 
@@ -50,7 +50,7 @@ def test_every_instance_is_a_label_or_a_reject(labelgen, tree: Path, tmp_path: P
     lines = (tmp_path / "out" / "rejects.jsonl").read_text().splitlines()
     assert len(lines) == report["rejects"] == sum(report["rejects_by_reason"].values())
     assert not any(validate_shards([tmp_path / "out"]).values())
-    named = {json.loads(line)["source"] for line in lines} | {s.source for s in ShardSet([tmp_path / "out"])}
+    named = {json.loads(line)["source"] for line in lines} | {s.source for s in ShardDataset([tmp_path / "out"])}
     assert len(named) == 36
 
 
@@ -58,7 +58,7 @@ def test_published_exclusions_are_the_default(labelgen, tree: Path, tmp_path: Pa
     report = _run(labelgen, tree, tmp_path / "out")
     # 12 vehicles of 3 cameras in turn, 3 instances each; uvoz is excluded; vehicles 3, 7 and 11 drive away.
     assert report["rejects_by_reason"] == {"camera left out": 12, "drives away from the camera": 6}
-    assert {camera.name for r in ShardSet([tmp_path / "out"]).readers for camera in r.cameras} == {"alpha", "beta"}
+    assert {camera.name for r in ShardDataset([tmp_path / "out"]).readers for camera in r.cameras} == {"alpha", "beta"}
 
 
 @pytest.mark.parametrize("pair", ["VP2-VP3", "VP1-VP2"])
@@ -66,7 +66,7 @@ def test_labels_give_back_the_source_boxes(labelgen, tree: Path, tmp_path: Path,
     _run(labelgen, tree, tmp_path / "out", "--pair", pair, *EVERYTHING)
     data = pickle.loads((tree / "dataset.pkl").read_bytes())
     boxes = {entry["path"]: entry["3DBB"] for sample in data["samples"] for entry in sample["instances"]}
-    samples = list(ShardSet([tmp_path / "out"]))
+    samples = list(ShardDataset([tmp_path / "out"]))
     assert len(samples) == 36
     for sample in samples:
         vertices, valid = sample.vertices_px()
@@ -81,7 +81,7 @@ def test_labels_give_back_the_source_boxes(labelgen, tree: Path, tmp_path: Path,
 def test_crops_are_warped_to_where_their_labels_are(labelgen, tree: Path, tmp_path: Path) -> None:
     """The painted silhouette of each crop fills its label's box to within two pixels."""
     _run(labelgen, tree, tmp_path / "out", "--quality", 0, *EVERYTHING)
-    for sample in ShardSet([tmp_path / "out"]):
+    for sample in ShardDataset([tmp_path / "out"]):
         vertices, _ = sample.labels.vertices(sample.rectification.vpu)
         inside = np.zeros(sample.image.shape[:2], np.uint8)
         cv2.fillConvexPoly(inside, cv2.convexHull(vertices[0].astype(np.float32)).astype(np.int32), 1)
@@ -100,7 +100,7 @@ def test_atlas_and_images_agree_up_to_jpeg(labelgen, tmp_path: Path) -> None:
     for name, parts in (("images", {"atlas": False}), ("atlas", {"images": False})):
         write_tree(tmp_path / name, vehicles=4, **parts)
         _run(labelgen, tmp_path / name, tmp_path / f"out-{name}", *EVERYTHING)
-    from_images, from_atlas = (list(ShardSet([tmp_path / f"out-{name}"])) for name in ("images", "atlas"))
+    from_images, from_atlas = (list(ShardDataset([tmp_path / f"out-{name}"])) for name in ("images", "atlas"))
     assert len(from_images) == len(from_atlas) == 12
     for a, b in zip(from_images, from_atlas, strict=True):
         np.testing.assert_array_equal(a.labels.boxes_xyxy, b.labels.boxes_xyxy)
@@ -110,7 +110,7 @@ def test_atlas_and_images_agree_up_to_jpeg(labelgen, tmp_path: Path) -> None:
 
 def test_splits_are_noted(labelgen, tree: Path, tmp_path: Path) -> None:
     _run(labelgen, tree, tmp_path / "out", *EVERYTHING)
-    seen = {int(s.source.split("/")[1]): s.split for s in ShardSet([tmp_path / "out"])}
+    seen = {int(s.source.split("/")[1]): s.split for s in ShardDataset([tmp_path / "out"])}
     assert seen == {v: Split.TRAIN if v % 2 == 0 else Split.VALIDATION if v == 1 else Split.TEST for v in range(12)}
 
 

@@ -20,7 +20,7 @@ from clips import CAMERA, SIZE, road_mask, vehicle_boxes, write_clip
 from labelgen.datasets.scene import find_scene
 from labelgen.geometry import Pair, Rectification, encode_boxes
 from labelgen.labels import Flag, Split, VehicleClass
-from labelgen.shards import ShardReader, ShardSet, validate_shards
+from labelgen.shards import ShardDataset, ShardReader, validate_shards
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +49,14 @@ def test_labels_are_those_of_the_exact_boxes(
     options += ["--region", region] if region != "road" else []
     report = _run(labelgen, tmp_path / "out", clip, *options)
     assert (report["images"], report["labels"], report["rejects"]) == (6, 12, 0)
-    assert ShardSet([tmp_path / "out"]).readers[0].settings["region"] == region
+    assert ShardDataset([tmp_path / "out"]).readers[0].settings["region"] == region
     size = (640, 360) if pair is Pair.VP2_VP3 else (360, 640)
     rectification = (
         Rectification.from_road_mask(CAMERA, road_mask(), pair, size)
         if region == "road"
         else Rectification.from_window(CAMERA, [0, 0, *SIZE], pair, size)
     )
-    for sample in ShardSet([tmp_path / "out"]):
+    for sample in ShardDataset([tmp_path / "out"]):
         exact = encode_boxes(rectification.points(vehicle_boxes(sample.frame)), rectification.vpu)
         order = np.argsort(exact.boxes_xyxy[:, 0])
         found = np.argsort(sample.labels.boxes_xyxy[:, 0])
@@ -79,7 +79,7 @@ def test_frames_that_are_not_rectified(labelgen, clip: Path, tmp_path: Path) -> 
     options = ["--masks", masks, "--every", 10, "--region", "none", "--size", "320x180"]
     report = _run(labelgen, tmp_path / "out", clip, *options)
     assert (report["images"], report["labels"], report["rejects"]) == (6, 12, 0)
-    for sample in ShardSet([tmp_path / "out"]):
+    for sample in ShardDataset([tmp_path / "out"]):
         assert sample.image.shape == (180, 320, 3)
         np.testing.assert_allclose(sample.rectification.matrix, np.diag([0.5, 0.5, 1]))
         corners = vehicle_boxes(sample.frame) / 2
@@ -96,7 +96,7 @@ def test_background_masks_find_the_cars(labelgen, tmp_path: Path) -> None:
     longer = write_clip(tmp_path, 200, coco=False)
     report = _run(labelgen, tmp_path / "out", longer, "--masks", "background", "--every", 10)
     assert report["labels"] >= 30  # of 40
-    settings = ShardSet([tmp_path / "out"]).readers[0].settings
+    settings = ShardDataset([tmp_path / "out"]).readers[0].settings
     assert settings["masks"] == "background"
 
 
@@ -161,7 +161,7 @@ def test_session_folder_with_its_own_files_and_splits(labelgen, clip: Path, tmp_
     (results / "system_optimal_calibration.json").write_text(json.dumps(CAMERA.to_dict()))
     report = _run(labelgen, tmp_path / "out", session, "--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 20)
     assert report["images"] == 3
-    sample = ShardSet([tmp_path / "out"])[0]
+    sample = ShardDataset([tmp_path / "out"])[0]
     assert (sample.source, sample.camera.name, sample.split) == ("session2_left", "session2_left", Split.VALIDATION)
     scene = find_scene(session)
     assert scene.fps == 50
@@ -220,7 +220,7 @@ def test_touching_and_cut_vehicles_are_flagged(labelgen, clip: Path, tmp_path: P
         annotation["segmentation"] = [[left, y0, right, y0, right, y1, left, y1]]
     (tmp_path / "masks.json").write_text(json.dumps(data))
     _run(labelgen, tmp_path / "out", clip, "--masks", f"coco:{tmp_path / 'masks.json'}", "--every", 20)
-    labels = ShardSet([tmp_path / "out"])[0].labels
+    labels = ShardDataset([tmp_path / "out"])[0].labels
     assert labels.has(Flag.TOUCHING).all()
 
 
@@ -230,7 +230,7 @@ def test_real_videos_with_background_masks(labelgen, real_data: Path, tmp_path: 
     """A floor well under what was counted by eye (docs/labels.md), to notice when it breaks."""
     report = _run(labelgen, tmp_path / "out", real_data / "videos" / name, "--masks", "background", "--every", 10)
     assert report["labels"] >= least
-    for sample in ShardSet([tmp_path / "out"]):
+    for sample in ShardDataset([tmp_path / "out"]):
         assert sample.vertices_px()[1].all()
 
 

@@ -6,6 +6,8 @@ import hashlib
 import json
 import multiprocessing
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -15,10 +17,11 @@ from samples import CAMERA, SIZE, make_sample, write_shard
 
 from labelgen.errors import DataError, OutputError
 from labelgen.geometry import Camera, Pair
+from labelgen.labels import Sample
 from labelgen.shards import (
     Reject,
+    ShardDataset,
     ShardReader,
-    ShardSet,
     ShardWriter,
     merge_shards,
     summarise,
@@ -136,16 +139,54 @@ def test_a_pickled_reader_does_not_carry_the_tables(tmp_path: Path) -> None:
     assert len(pickle.loads(data)) == 50
 
 
-def test_shard_set_indexes_over_files(tmp_path: Path) -> None:
+FRAMES = [0, 250, 275, 500, 525, 550]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three shards with six samples."""
     for i in range(3):
         write_shard(tmp_path / f"shard-{i:05d}.h5", samples=i + 1, seed=10 * i)
-    data = ShardSet([tmp_path])
+    return tmp_path
+
+
+def test_a_dataset_counts_over_files(folder: Path) -> None:
+    data = ShardDataset([folder])
     assert len(data) == 6
-    assert [data[i].frame for i in range(6)] == [0, 250, 275, 500, 525, 550]
+    assert [data[i].frame for i in range(6)] == FRAMES
+    assert [sample.frame for sample in data] == FRAMES
     assert data[-1].frame == 550
     assert len(data.table("labels/cc")) == sum(reader.label_count for reader in data.readers)
     with pytest.raises(IndexError):
         data[6]
+
+
+def _frame_and_boxes(sample: Sample) -> tuple[int, np.ndarray]:
+    return sample.frame, sample.labels.boxes_xyxy
+
+
+def test_a_dataset_transforms_its_samples(folder: Path) -> None:
+    data = pickle.loads(pickle.dumps(ShardDataset(str(folder), transform=_frame_and_boxes)))
+    assert [frame for frame, _ in data] == FRAMES
+    np.testing.assert_array_equal(data[2][1], ShardDataset(folder)[2].labels.boxes_xyxy)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_workers_of_a_data_loader_read_a_dataset(folder: Path, method: str) -> None:
+    from torch.utils.data import DataLoader
+
+    data = ShardDataset(folder, transform=_frame_and_boxes)
+    expected = list(data)  # its files are open when the workers start
+    loader = DataLoader(data, batch_size=4, num_workers=2, collate_fn=list, multiprocessing_context=method)
+    items = [item for batch in loader for item in batch]
+    assert [frame for frame, _ in items] == FRAMES
+    for (_, boxes), (_, wanted) in zip(items, expected, strict=True):
+        np.testing.assert_array_equal(boxes, wanted)
+
+
+def test_importing_shards_does_not_import_torch() -> None:
+    code = "import sys, labelgen.shards; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def _edit(path: Path, change) -> None:
@@ -299,7 +340,7 @@ def test_many_shards_need_few_open_files(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (100, hard))
     try:
-        data = ShardSet([tmp_path])
+        data = ShardDataset([tmp_path])
         assert [data[i].frame for i in range(90)] == [25 * i for i in range(90)]
         assert data[0].frame == 0
     finally:
@@ -335,25 +376,6 @@ def test_merge(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="different pairs or sizes"):
         merge_shards([tmp_path / "a", wide], tmp_path / "mixed")
     assert not (tmp_path / "mixed").exists()
-
-
-def test_public_names() -> None:
-    import labelgen.shards
-
-    assert sorted(labelgen.shards.__all__) == [
-        "DatasetSummary",
-        "Reject",
-        "ShardReader",
-        "ShardSet",
-        "ShardWriter",
-        "find_shards",
-        "merge_shards",
-        "read_index",
-        "summarise",
-        "validate_shard",
-        "validate_shards",
-        "write_index",
-    ]
 
 
 @pytest.mark.parametrize("packing", [{"chunks": (100,)}, {"chunks": (64,), "compression": "gzip"}])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labelgen.labels import Flag
-from labelgen.shards import ShardSet
+from labelgen.shards import ShardDataset
 from labelgen.synth.truth.session import write_session
 from labelgen.synth.truth.shards import MIN_HEIGHT_PX, main
 
@@ -18,7 +18,7 @@ from labelgen.synth.truth.shards import MIN_HEIGHT_PX, main
 def test_labels_decode_to_the_true_boxes(tmp_path: Path) -> None:
     write_session(tmp_path, duration_s=4, fps=1, size_wh=(640, 360), seed=4, name="made", per_minute=40)
     main([str(tmp_path / "dataset" / "made"), "--out", str(tmp_path / "shards"), "--size", "320x180"])
-    samples = ShardSet([tmp_path / "shards"])
+    samples = ShardDataset([tmp_path / "shards"])
     assert len(samples)
     lines = [json.loads(line) for line in (tmp_path / "truth" / "made" / "boxes.jsonl").read_text().splitlines()]
     compared = 0
