@@ -322,7 +322,7 @@ class Rectification:
         """
         size = frame_wh or self.frame_wh
         if size is None:
-            raise RectificationError("frame_wh: the frame's size is not known; pass it", parameter="frame_wh")
+            raise RectificationError("the frame's size is not known; pass frame_wh", parameter="frame_wh")
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(image, self.pixel_matrix(), size, flags=flags))
 
