@@ -29,6 +29,11 @@ def test_a_scene_can_be_seen_from_a_given_camera() -> None:
     assert np.mean(measured) == pytest.approx(-0.5)
 
 
+def test_another_seed_gives_another_scene() -> None:
+    first, again, other = (procedural_scene(np.random.default_rng(seed), (640, 360)) for seed in (1, 1, 2))
+    assert first.camera.to_dict() == again.camera.to_dict() != other.camera.to_dict()
+
+
 def test_vehicles_of_a_lane_never_meet() -> None:
     scene = procedural_scene(np.random.default_rng(3), (1280, 720))
     trips = random_traffic(scene, 30.0, 5, per_minute=40)

@@ -20,7 +20,7 @@ NAME = "session0_center"
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("tools")
-    write_session(out, duration_s=16, fps=5, size_wh=(640, 360), seed=4)
+    write_session(out, duration_s=2, fps=5, size_wh=(480, 270), seed=4, per_minute=40)
     return out / "dataset" / NAME
 
 

@@ -22,7 +22,7 @@ from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, RoadMask, road_cuboids
 from labelgen.synth.truth.check import check_session
 
-SMALL = ["--size", "640x360", "--fps", "5", "--duration", "4", "--seed", "4"]
+SMALL = ["--size", "480x270", "--fps", "5", "--duration", "4", "--seed", "4"]
 NAME = "session0_center"
 
 
@@ -52,11 +52,11 @@ def boxes(root: Path) -> list[dict]:
 def test_layout_is_that_of_brnocompspeed(root: Path) -> None:
     dataset = root / "dataset" / NAME
     assert {p.name for p in dataset.iterdir()} == {"video.avi", "video_mask.png", "screen.png", "gt_data.pkl"}
-    assert cv2.imread(str(dataset / "screen.png")).shape == (360, 640, 3)
-    camera = Camera.load(root / "results" / NAME / "system_optimal_calibration.json", image_wh=(640, 360))
+    assert cv2.imread(str(dataset / "screen.png")).shape == (270, 480, 3)
+    camera = Camera.load(root / "results" / NAME / "system_optimal_calibration.json", image_wh=(480, 270))
     assert 4 < camera.height_m < 13
     mask = RoadMask(cv2.imread(str(dataset / "video_mask.png"), cv2.IMREAD_GRAYSCALE))
-    for pair, size in ((Pair.VP2_VP3, (640, 360)), (Pair.VP1_VP2, (360, 640))):
+    for pair, size in ((Pair.VP2_VP3, (480, 270)), (Pair.VP1_VP2, (270, 480))):
         assert Rectification.from_road_mask(camera, mask, pair, size).frame_coverage > 0.5
     gt = load_pickle(dataset / "gt_data.pkl")
     assert set(gt) >= {"fps", "cars", "measurementLines", "laneDivLines", "invalidLanes", "distanceMeasurement"}
@@ -139,12 +139,6 @@ def test_same_seed_same_bytes_and_frames(root: Path, tmp_path: Path) -> None:
         assert np.array_equal(a, b)
 
 
-def test_another_seed_gives_another_scene(root: Path, tmp_path: Path) -> None:
-    run("session", "--out", str(tmp_path), *SMALL[:-1], "5", "--no-video")
-    name = Path("results") / NAME / "system_optimal_calibration.json"
-    assert (root / name).read_text(encoding="utf-8") != (tmp_path / name).read_text(encoding="utf-8")
-
-
 def test_tracks_without_video_are_those_with_it(root: Path, tmp_path: Path, boxes: list[dict]) -> None:
     run("session", "--out", str(tmp_path), *SMALL, "--no-video")
     lines = (tmp_path / "truth" / NAME / "boxes.jsonl").read_text(encoding="utf-8").splitlines()
@@ -154,21 +148,12 @@ def test_tracks_without_video_are_those_with_it(root: Path, tmp_path: Path, boxe
             assert there[vehicle["track_id"]]["vertices_px"] == vehicle["vertices_px"]
 
 
-@pytest.mark.parametrize("weather", ["day", "overcast", "dusk", "rain"])
-def test_weather_sets_the_brightness(weather: str, tmp_path: Path) -> None:
-    run("session", "--out", str(tmp_path), "--size", "320x180", "--fps", "1", "--duration", "1", "--weather", weather)
-    level = cv2.imread(str(tmp_path / "dataset" / NAME / "screen.png")).mean()
-    low, high = {"day": (75, 170), "overcast": (75, 170), "dusk": (30, 90), "rain": (50, 150)}[weather]
-    assert low < level < high
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (["--replay"], "--scene"),
-        (["--weather", "snow"], "day, overcast, dusk, rain"),
         (["--bodies", "tank"], "supermini"),
-        (["--size", "641x360"], "even"),
+        (["--size", "65x36"], "even"),
         (["--scene", "no/such/session"], "no such"),
     ],
 )
@@ -181,12 +166,12 @@ def test_bad_options_say_what_helps(arguments: list[str], says: str, tmp_path: P
 
 def test_nothing_is_replaced_unasked(root: Path) -> None:
     with pytest.raises(LabelgenError, match="--overwrite"):
-        CliRunner().invoke(synth_app, ["session", "--out", str(root), *SMALL], catch_exceptions=False)
+        CliRunner().invoke(synth_app, ["session", "--out", str(root), *SMALL, "--size", "64x36"], catch_exceptions=False)
 
 
 def test_an_interrupted_session_is_a_shorter_one(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from labelgen.cli.synth import synth_app; synth_app()", "session"]
-    command += ["--out", str(tmp_path), "--size", "640x360", "--duration", "200", "--seed", "4"]
+    command += ["--out", str(tmp_path), "--size", "320x180", "--duration", "200", "--seed", "4"]
     boxes_file = tmp_path / "truth" / NAME / "boxes.jsonl"
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr is not None
