@@ -14,9 +14,9 @@ from typing import Any
 import torch
 
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
-from labelgen import __version__
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Region
+from labelgen.version import __version__
 
 __all__ = ["METADATA_KEY", "ModelMetadata", "load_model", "read_checkpoint"]
 

@@ -17,6 +17,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from labelgen.version import __version__
+
 if TYPE_CHECKING:
     from labelgen.choices import Pair, Region, Rule
     from labelgen.datasets.scene import find_scene
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     from labelgen.masks import InstanceMasks, create_mask_source
     from labelgen.media.open_frames import open_frames
     from labelgen.shards import ShardDataset, ShardReader, ShardWriter
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Camera",
@@ -47,6 +47,7 @@ __all__ = [
     "ShardWriter",
     "Split",
     "VehicleClass",
+    "__version__",
     "create_mask_source",
     "decode_boxes",
     "encode_boxes",

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from labelgen import __version__
 from labelgen.errors import LabelgenError
+from labelgen.version import __version__
 
 __all__ = ["app", "main"]
 

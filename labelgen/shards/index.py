@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from labelgen import __version__
 from labelgen.atomic_files import write_atomic, write_json
 from labelgen.errors import DataError
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.rejects import to_json_lines
 from labelgen.shards.schema import FORMAT, HASH_ATTRIBUTE, VERSION
+from labelgen.version import __version__
 
 __all__ = [
     "INDEX_NAME",

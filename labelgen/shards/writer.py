@@ -12,13 +12,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen import __version__
 from labelgen.atomic_files import write_atomic
 from labelgen.choices import Pair
 from labelgen.geometry.camera import Camera
 from labelgen.labels import Labels, Sample
 from labelgen.shards.rejects import Reject, to_json_lines
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, TEXT, VERSION, content_hash
+from labelgen.version import __version__
 
 __all__ = ["ShardWriter"]
 

@@ -12,8 +12,8 @@ import labelgen
 
 LABELGEN = {
     "Camera", "Flag", "InstanceMasks", "Labels", "LabelgenError", "Pair", "Rectification", "Region", "RoadMask",
-    "Rule", "Sample", "ShardDataset", "ShardReader", "ShardWriter", "Split", "VehicleClass", "create_mask_source",
-    "decode_boxes", "encode_boxes", "find_scene", "label_masks", "open_frames", "road_cuboids",
+    "Rule", "Sample", "ShardDataset", "ShardReader", "ShardWriter", "Split", "VehicleClass", "__version__",
+    "create_mask_source", "decode_boxes", "encode_boxes", "find_scene", "label_masks", "open_frames", "road_cuboids",
 }  # fmt: skip
 
 
