@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from labelgen.atomic_files import make_folder, write_json
 from labelgen.calibration.observation.collect import observe
 from labelgen.calibration.pipeline import Calibration, calibrate_video
-from labelgen.calibration.road_mask import road_mask, write_mask
-from labelgen.calibration.scale.methods import scale_way
+from labelgen.calibration.road_mask import estimate_road_mask, write_mask
+from labelgen.calibration.scale.methods import parse_scale_method
 from labelgen.datasets.scene import SceneFiles
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
@@ -72,7 +72,7 @@ def _make(scene: SceneFiles, missing: set[str], scale: str, need_scale: bool) ->
     frames = open_frames(scene.frames_path)
     if "calibration" in missing:
         calibration = calibrate_with_scale(frames, [scale], need_scale=need_scale)
-        camera, observations = calibration.camera, calibration.seen
+        camera, observations = calibration.camera, calibration.observations
         make_folder(scene.calibration_path.absolute().parent)
         write_json(scene.calibration_path, calibration.to_dict())
         confidence = calibration.confidence()["overall"]
@@ -83,7 +83,7 @@ def _make(scene: SceneFiles, missing: set[str], scale: str, need_scale: bool) ->
         camera = Camera.load(scene.calibration_path, image_wh=frames.size_wh)
         observations = observe(frames)
     if "road mask" in missing:
-        road = road_mask(camera, observations.tracks)
+        road = estimate_road_mask(camera, observations.tracks)
         write_mask(scene.mask_path, road.pixels)
         _log.info("%s: road marked, %.0f%% of the picture: %s", scene.name, 100 * road.pixels.mean(), scene.mask_path)
 
@@ -107,10 +107,10 @@ def calibrate_with_scale(
     Raises:
         CalibrationError: the video cannot carry a calibration, or no scale where one is needed; says why.
     """
-    method = scale_way(scale)
+    method = parse_scale_method(scale)
     calibration = calibrate_video(frames, pp=pp, duration_s=duration_s)
     try:
-        estimate = method(calibration.camera, calibration.blobs)
+        estimate = method(calibration.camera, calibration.silhouettes)
     except CalibrationError as err:
         if need_scale:
             raise

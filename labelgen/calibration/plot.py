@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.calibration.observation.collect import Track
+from labelgen.calibration.observation.klt_tracks import Track
 from labelgen.drawing import BLUE, CYAN, GREEN, RED, WHITE, YELLOW, Picture, draw_polyline, draw_text
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array

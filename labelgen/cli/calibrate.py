@@ -106,14 +106,14 @@ def _rows(calibration: Calibration) -> list[tuple[str, Any]]:
     camera, evidence = calibration.camera, calibration.orientation.evidence
     confidence = calibration.confidence()
     points = [(f"VP{k}, px", "{:.1f}, {:.1f}".format(*camera.vanishing_point(k))) for k in (1, 2, 3)]
-    points[0] = (points[0][0], f"{points[0][1]}  (known to {evidence.vp1_deg:.2f} degrees)")
+    points[0] = (points[0][0], f"{points[0][1]}  (known to {evidence.vp1_sd_deg:.2f} degrees)")
     rows: list[tuple[str, Any]] = [
         *points,
-        ("focal length, px", f"{camera.focal:.0f}  (known to {evidence.focal:.1%})"),
+        ("focal length, px", f"{camera.focal:.0f}  (known to {evidence.focal_sd:.1%})"),
         ("vehicles", evidence.vehicles),
         ("tracks along the road", f"{evidence.along_share:.0%} of {evidence.tracks}"),
-        ("edges across it", f"{evidence.across_edges:.0f} of {evidence.edges}"),
-        ("looked at, s", f"{evidence.seconds:.0f}" + ("" if calibration.seen.ended else " (enough)")),
+        ("edges across it", f"{evidence.vp2_edges:.0f} of {evidence.edges}"),
+        ("looked at, s", f"{evidence.duration_s:.0f}" + ("" if calibration.observations.ended else " (enough)")),
         ("confidence", f"{confidence['overall']:.2f}"),
     ]
     if calibration.scale is not None:
@@ -129,11 +129,11 @@ def _write_picture(calibration: Calibration, path: Path) -> None:
     from labelgen.atomic_files import make_folder, write_atomic
     from labelgen.calibration.plot import draw_calibration
 
-    seen = calibration.seen
-    image = np.zeros((seen.size_wh[1], seen.size_wh[0], 3), np.uint8)
-    if seen.background is not None:
-        image = np.ascontiguousarray(seen.background[..., ::-1])
-    tracks = [seen.tracks[k] for k in calibration.orientation.supporting.tolist()]
+    observations = calibration.observations
+    image = np.zeros((observations.size_wh[1], observations.size_wh[0], 3), np.uint8)
+    if observations.background is not None:
+        image = np.ascontiguousarray(observations.background[..., ::-1])
+    tracks = [observations.tracks[k] for k in calibration.orientation.supporting.tolist()]
     text = [f"{calibration.camera.name}: confidence {calibration.confidence()['overall']:.2f}", *calibration.doubts]
     drawn = draw_calibration(image, calibration.camera, tracks, text)
     make_folder(path.absolute().parent)

@@ -38,8 +38,7 @@ def road_mask(
     """
     from labelgen.calibration.observation.collect import observe
     from labelgen.calibration.pipeline import calibrate_video
-    from labelgen.calibration.road_mask import road_mask as estimate
-    from labelgen.calibration.road_mask import write_mask
+    from labelgen.calibration.road_mask import estimate_road_mask, write_mask
     from labelgen.errors import OutputError
     from labelgen.geometry import Camera
     from labelgen.media.open_frames import open_frames
@@ -51,11 +50,11 @@ def road_mask(
     frames = open_frames(video)
     if calibration is None:
         estimated = calibrate_video(frames, duration_s=duration)
-        camera, observations = estimated.camera, estimated.seen
+        camera, observations = estimated.camera, estimated.observations
     else:
         camera = Camera.load(calibration, image_wh=frames.size_wh)
         observations = observe(frames, duration_s=duration)
-    road = estimate(camera, observations.tracks)
+    road = estimate_road_mask(camera, observations.tracks)
     write_mask(out, road.pixels)
     rows: list[tuple[str, Any]] = [
         ("of the picture", f"{road.pixels.mean():.0%}"),

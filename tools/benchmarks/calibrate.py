@@ -1,10 +1,10 @@
-"""How many times faster than real time a video is calibrated from, on one core, and what the time goes to.
+"""Measure how many times faster than real time a video is calibrated from, on one core, and the share of each stage.
 
     python -m tools.benchmarks.calibrate VIDEO [--size 1280x720 --fps 30 --seconds 60]
 
-With --size the video is first written anew, as H.264 of that size and rate, going forwards and backwards until it is
-long enough: compressed like a real one, whatever the source is. That is not counted. Every library is told to use one
-thread, times are those the processor spent on this process, and the pass does not stop early.
+With --size the video is first encoded anew as H.264 of that size and rate, played forwards and backwards until it is
+long enough: compressed like a real one, whatever the source is. That is not counted. Every library uses one thread,
+times are processor time of this process, and the pass does not stop early.
 """
 
 from __future__ import annotations
@@ -27,19 +27,24 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _STAGES = (
     ("labelgen.media.video_reader", "VideoFile", "_decode", "decoding"),
     ("labelgen.calibration.pipeline", None, "estimate_orientation", "tracks and edges"),
-    ("labelgen.calibration.pipeline", None, "refine_orientation", "vehicles again"),
-    ("labelgen.calibration.observation.klt_tracks", "FeatureTracker", "see", "features"),
-    ("labelgen.calibration.observation.klt_tracks", "CameraShake", "see", "camera"),
-    ("labelgen.calibration.observation.edgelets", "EdgeletFinder", "see", "edges"),
-    ("labelgen.calibration.observation.background_image", "Backdrop", "look", "keeping the scene"),
-    ("labelgen.calibration.observation.silhouettes", "BlobCollector", "see", "silhouettes"),
-    ("labelgen.calibration.scale.methods", "ScaleWay", "__call__", "scale"),
-    ("labelgen.calibration.observation.background_image", "Backdrop", "picture", "empty picture"),
+    ("labelgen.calibration.pipeline", None, "refine_orientation", "bundle adjustment"),
+    ("labelgen.calibration.observation.klt_tracks", "FeatureTracker", "update", "features"),
+    ("labelgen.calibration.observation.camera_shake", "CameraShake", "update", "camera motion"),
+    ("labelgen.calibration.observation.edgelets", "EdgeletFinder", "update", "edges"),
+    ("labelgen.calibration.observation.background_image", "BackgroundImageEstimator", "update", "background frames"),
+    ("labelgen.calibration.observation.silhouettes", "SilhouetteCollector", "update", "silhouettes"),
+    ("labelgen.calibration.scale.methods", "ScaleMethod", "__call__", "scale"),
+    (
+        "labelgen.calibration.observation.background_image",
+        "BackgroundImageEstimator",
+        "median_image",
+        "background image",
+    ),
 )
 
 
 def measure(video: Path) -> dict[str, Any]:
-    """Calibrate from a video.
+    """Calibrate from a video and measure the time.
 
     Returns:
         seconds of video, seconds of processor time for the whole, times real time, the whole as a multiple of what
@@ -49,8 +54,8 @@ def measure(video: Path) -> dict[str, Any]:
 
     import cv2
 
-    from labelgen.calibration import pipeline as run
-    from labelgen.calibration.scale.methods import scale_way
+    from labelgen.calibration import pipeline
+    from labelgen.calibration.scale.methods import parse_scale_method
     from labelgen.media.video_reader import VideoFile
 
     cv2.setNumThreads(1)
@@ -70,15 +75,15 @@ def measure(video: Path) -> dict[str, Any]:
         setattr(owner, method, timed(function, name, spent))
     try:
         start = time.process_time()
-        way = scale_way(["auto-models"])
-        frames = VideoFile(video, threads=1)
-        done = run.calibrate_video(frames, estimate_scale=way, stop_early=False)
+        estimate_scale = parse_scale_method(["auto-models"])
+        calibration = pipeline.calibrate_video(VideoFile(video, threads=1), stop_early=False)
+        estimate_scale(calibration.camera, calibration.silhouettes)
         total = time.process_time() - start
     finally:
         for owner, function, (_, _, method, _) in zip(owners, plain, _STAGES, strict=True):
             setattr(owner, method, function)
     spent["the rest"] = total - sum(spent.values())
-    seconds = done.seen.duration_s
+    seconds = calibration.observations.duration_s
     return {
         "seconds": seconds,
         "cpu_s": total,
@@ -89,6 +94,8 @@ def measure(video: Path) -> dict[str, Any]:
 
 
 def _timed(function: Any, name: str, spent: dict[str, float]) -> Any:
+    """Return a function that adds its processor time to `spent[name]`."""
+
     def run(*args: Any, **kwargs: Any) -> Any:
         start = time.process_time()
         try:
@@ -100,18 +107,18 @@ def _timed(function: Any, name: str, spent: dict[str, float]) -> Any:
 
 
 def _timed_pieces(function: Any, name: str, spent: dict[str, float]) -> Any:
-    """The same for what gives one thing after the other."""
+    """Return a generator function whose time per item is added up."""
 
     def run(*args: Any, **kwargs: Any) -> Any:
         following = _timed(functools.partial(next, function(*args, **kwargs), None), name, spent)
-        while (thing := following()) is not None:
-            yield thing
+        while (item := following()) is not None:
+            yield item
 
     return run
 
 
 def recode(video: Path, out: Path, size_wh: tuple[int, int], fps: int, seconds: float) -> None:
-    """Write a video anew, forwards and backwards until it is long enough."""
+    """Encode a video anew, played forwards and backwards until it is long enough."""
     import av
     import cv2
 
@@ -139,12 +146,12 @@ def _first(video: Any, count: int) -> Any:
 
 def main(
     video: Annotated[Path, typer.Argument(help="Video to calibrate from.")],
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Write it anew in this size first.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Encode it anew in this size first.")] = None,
     fps: Annotated[int, typer.Option(min=1, help="Rate of the new video.")] = 30,
     seconds: Annotated[float, typer.Option(min=1, help="Length of the new video.")] = 60.0,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures as JSON as well.")] = None,
 ) -> None:
-    """Measure, and say where the time goes."""
+    """Measure the time of a calibration and the share of each stage."""
     from labelgen.atomic_files import write_json
     from labelgen.geometry import parse_size
 
@@ -153,11 +160,11 @@ def main(
     if not video.is_file():
         raise DataError(f"{video}: no such video")
     with tempfile.TemporaryDirectory() as folder:
-        chosen = video
+        measured = video
         if size is not None:
-            chosen = Path(folder) / "video.mp4"
-            recode(video, chosen, parse_size(size), fps, seconds)
-        figures = measure(chosen)
+            measured = Path(folder) / "video.mp4"
+            recode(video, measured, parse_size(size), fps, seconds)
+        figures = measure(measured)
     typer.echo(
         f"{figures['seconds']:.1f} s of video in {figures['cpu_s']:.1f} s: "
         f"{figures['times_real_time']:.1f} times real time; "

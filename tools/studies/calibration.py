@@ -25,10 +25,11 @@ from detector.evaluation.brnocompspeed import score_recording
 from detector.tracking.tracks import Tracks
 from labelgen.atomic_files import write_json
 from labelgen.calibration.complete_scene import calibrate_with_scale
-from labelgen.calibration.observation.collect import Track
+from labelgen.calibration.observation.klt_tracks import Track
 from labelgen.calibration.pipeline import Calibration
-from labelgen.calibration.vanishing.orientation import road_camera
-from labelgen.calibration.vanishing.vp1 import find_travel, track_lines
+from labelgen.calibration.vanishing.orientation import camera_from_angles
+from labelgen.calibration.vanishing.track_lines import track_lines
+from labelgen.calibration.vanishing.vp1 import estimate_vp1
 from labelgen.datasets.brnocompspeed import GroundTruth, read_ground_truth
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError
@@ -52,7 +53,7 @@ def travel_from_cars(path: Path, pp: Array) -> Array:
     cars = [c for c in json.loads(path.read_text())["cars"] if isinstance(c.get("posX"), list) and len(c["posX"]) > 5]
     tracks = [Track(np.array(c["frames"]) / fps, np.stack([c["posX"], c["posY"]], axis=1)) for c in cars]
     lines = track_lines(tracks, pp, _UNIT)
-    direction = find_travel(lines[lines.length > _SHORTEST]).direction
+    direction = estimate_vp1(lines[lines.length > _SHORTEST]).direction
     out: Array = pp + _UNIT * direction[:2] / direction[2]
     return out
 
@@ -81,7 +82,7 @@ def best_fit(vp1: Array, best: Camera, truth: GroundTruth) -> tuple[float, float
     direction = np.array([*(vp1 - best.pp) / _UNIT, 1.0])
     found = []
     for focal in np.geomspace(0.4, 3.0, 80):
-        camera = road_camera(direction, tilt, focal, best.pp, _UNIT, (1920, 1080))
+        camera = camera_from_angles(direction, tilt, focal, best.pp, _UNIT, (1920, 1080))
         found.append((ratio_error(camera, truth), focal * _UNIT))
     return min(found)
 
@@ -96,7 +97,7 @@ def compare_video(done: Calibration, true: Camera, truth: GroundTruth) -> dict[s
         "tilt_deg": tilt_deg(camera) - tilt_deg(true),
         "focal_percent": 100 * (camera.focal / true.focal - 1),
         "ratio_percent": ratio_error(camera, replace(truth, segments_m=lengths)),
-        "seconds": done.seen.duration_s,
+        "seconds": done.observations.duration_s,
         "confidence": done.confidence(),
     }
     if camera.scale is not None:

@@ -1,0 +1,1 @@
+"""Observations of one pass over a video: feature tracks, edgelets, silhouettes, camera motion and the background."""

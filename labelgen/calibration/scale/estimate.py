@@ -1,17 +1,19 @@
-"""What every way to a scale gives, and the camera it is measured in."""
+"""The result of every method for the scale."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import CalibrationError
-from labelgen.geometry import Camera
 
-__all__ = ["ScaleEstimate", "time_blocks", "unit_camera"]
+__all__ = ["USE_DISTANCE", "ScaleEstimate", "time_blocks"]
+
+USE_DISTANCE = "use more of the video, or give a known distance (distance:x1,y1,x2,y2,METRES)"
+"""What to do where the video carries no scale."""
 
 
 @dataclass(frozen=True)
@@ -19,11 +21,14 @@ class ScaleEstimate:
     """A camera's scale.
 
     Args:
-        scale: metres per unit of the public road-plane convention.
+        scale: metres per road unit, in the public road-plane convention.
         count: how many vehicles or distances it rests on.
-        spread: its standard deviation over resamples, as a share of it; NaN where there is nothing to resample.
+        spread: relative standard deviation over resamples; NaN where there is nothing to resample.
         method: "auto-dimensions", "auto-models" or "distance".
         details: figures by name, for the report.
+
+    Raises:
+        CalibrationError: the scale is not a positive number.
     """
 
     scale: float
@@ -37,12 +42,12 @@ class ScaleEstimate:
             raise CalibrationError(f"scale, {self.method}: what was measured gives none ({self.scale}); measure again")
 
 
-def unit_camera(camera: Camera) -> Camera:
-    """The camera with scale 1: its metres are the units in which the scale is counted."""
-    return replace(camera, scale=1.0)
-
-
 def time_blocks(times_s: NDArray[np.float64], block_s: float) -> list[NDArray[np.int64]]:
-    """Numbers of the entries that belong to each stretch of time: sightings of one vehicle stay together."""
+    """Return the numbers of the entries in each stretch of time: silhouettes of one vehicle stay together.
+
+    Args:
+        times_s: (N,) seconds.
+        block_s: length of a stretch, seconds.
+    """
     number = np.floor(np.asarray(times_s) / block_s)
     return [np.flatnonzero(number == value) for value in np.unique(number)]

@@ -1,4 +1,4 @@
-"""Scale from distances that somebody knows: between two points on the road, or across a lane."""
+"""Scale from known distances: between two points on the road, or across a lane."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labelgen.calibration.scale.estimate import ScaleEstimate, unit_camera
+from labelgen.calibration.road_units import unit_camera
+from labelgen.calibration.scale.estimate import ScaleEstimate
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
 
@@ -35,14 +36,17 @@ class KnownDistance:
 
 
 def parse_distance(text: str, *, across: bool = False) -> KnownDistance:
-    """A known distance from "x1,y1,x2,y2,METRES".
+    """Parse a known distance.
+
+    Args:
+        text: "x1,y1,x2,y2,METRES", the points in px of the frame.
+        across: see `KnownDistance`.
 
     Raises:
-        CalibrationError: not of this form.
+        CalibrationError: the text is not of this form.
     """
-    parts = text.split(",")
     try:
-        x1, y1, x2, y2, metres = (float(part) for part in parts)
+        x1, y1, x2, y2, metres = (float(part) for part in text.split(","))
     except ValueError:
         raise CalibrationError(f"known distance {text}: expected five numbers; {_FORM}") from None
     if not all(math.isfinite(v) for v in (x1, y1, x2, y2, metres)) or metres <= 0 or (x1, y1) == (x2, y2):
@@ -51,7 +55,7 @@ def parse_distance(text: str, *, across: bool = False) -> KnownDistance:
 
 
 def scale_from_distances(camera: Camera, distances: Sequence[KnownDistance]) -> ScaleEstimate:
-    """Scale that suits known distances best, each weighted by its length.
+    """Return the scale that fits known distances best in the least-squares sense: longer ones weigh more.
 
     Args:
         camera: its scale is not used.
@@ -65,7 +69,7 @@ def scale_from_distances(camera: Camera, distances: Sequence[KnownDistance]) -> 
     """
     if not distances:
         raise CalibrationError(f"scale: no known distance given; {_FORM}")
-    measured = np.array([_units(unit_camera(camera), d.ends_px, across=d.across) for d in distances])
+    measured = np.array([_road_units(unit_camera(camera), d.ends_px, across=d.across) for d in distances])
     known = np.array([d.metres for d in distances])
     if (measured <= 0).any():
         ends = distances[int(measured.argmin())].ends_px
@@ -80,7 +84,8 @@ def scale_from_distances(camera: Camera, distances: Sequence[KnownDistance]) -> 
     )
 
 
-def _units(unit: Camera, ends_px: ArrayLike, *, across: bool) -> float:
+def _road_units(unit: Camera, ends_px: ArrayLike, *, across: bool) -> float:
+    """Return the distance of two points (2, 2) px in road units."""
     try:
         start, end = unit.road_points(ends_px)
     except CalibrationError as err:

@@ -1,4 +1,4 @@
-"""Vanishing points by votes: the whole projective plane, infinity included, in one bounded accumulator.
+"""Diamond space: an accumulator for vanishing points that holds the whole projective plane, infinity included.
 
 A line with all its points is mapped by two parallel-coordinate transforms in cascade. Worked out, the result is the
 octahedron |X| + |Y| + |W| = 1 seen along Y: the homogeneous point (X, Y, W), signed so that Y <= 0, has the diamond
@@ -22,11 +22,11 @@ from labelgen.geometry.homography import Array
 __all__ = ["accumulate", "diamond_points", "peak", "plane_points"]
 
 RESOLUTION = 160
-"""Cells from the middle of the diamond to its corner."""
+"""Cells from the middle of the diamond to its corner; more part lines that meet, fewer merge points."""
 
 
 def diamond_points(points: ArrayLike) -> Array:
-    """(..., 2) coordinates (u, v) in the diamond, |u| + |v| <= 1, of homogeneous points (..., 3)."""
+    """Return the diamond coordinates (u, v), (..., 2), |u| + |v| <= 1, of homogeneous points (..., 3)."""
     pts = np.asarray(points, dtype=np.float64)
     sign = np.where(pts[..., 1] > 0, -1.0, 1.0)
     out: Array = pts[..., [2, 0]] * (sign / np.abs(pts).sum(axis=-1))[..., None]
@@ -34,7 +34,7 @@ def diamond_points(points: ArrayLike) -> Array:
 
 
 def plane_points(diamond: ArrayLike) -> Array:
-    """(..., 3) homogeneous points, of unit length, at coordinates (..., 2) of the diamond."""
+    """Return the homogeneous points (..., 3), of unit length, at diamond coordinates (..., 2)."""
     uv = np.asarray(diamond, dtype=np.float64)
     points = np.stack([uv[..., 1], np.abs(uv).sum(axis=-1) - 1, uv[..., 0]], axis=-1)
     out: Array = points / np.linalg.norm(points, axis=-1, keepdims=True)
@@ -42,7 +42,7 @@ def plane_points(diamond: ArrayLike) -> Array:
 
 
 def accumulate(lines: ArrayLike, weights: ArrayLike | None = None, resolution: int = RESOLUTION) -> NDArray[np.float64]:
-    """Votes of lines, each drawn once into every cell it passes.
+    """Return the votes of lines, each drawn once into every cell it passes.
 
     Args:
         lines: (N, 3) homogeneous.
@@ -76,10 +76,10 @@ def accumulate(lines: ArrayLike, weights: ArrayLike | None = None, resolution: i
 
 
 def peak(votes: NDArray[np.float64], allowed: NDArray[np.bool_] | None = None) -> tuple[Array, float]:
-    """The point most lines pass, and its votes.
+    """Return the point that most lines pass, and its votes.
 
     Args:
-        votes: from `accumulate`; smoothed here, so that lines need not meet in one cell.
+        votes: from `accumulate`; smoothed here by a Gaussian of one cell, so that lines need not meet in one cell.
         allowed: (same shape) the cells to choose from.
 
     Returns:

@@ -1,59 +1,91 @@
-"""From what was observed to the camera's orientation and focal length, with what they rest on."""
+"""From the observations to the camera's orientation and focal length, with what they rest on."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labelgen.calibration.confidence import Evidence, check_across, check_camera, check_travel
-from labelgen.calibration.observation.collect import Observations
-from labelgen.calibration.vanishing.curvature import bend_deg
-from labelgen.calibration.vanishing.vp1 import (
-    TrackLines,
-    Travel,
-    find_travel,
-    group_vehicles,
-    outer_tracks,
-    refine_travel,
-    track_lines,
+from labelgen.calibration.confidence import (
+    CalibrationEvidence,
+    ConfidenceSettings,
+    check_observations,
+    check_vp1,
+    check_vp2,
 )
-from labelgen.calibration.vanishing.vp2 import Across, Edges, directions, edges_of, find_across
+from labelgen.calibration.observation.collect import Observations
+from labelgen.calibration.vanishing.curvature import CurvatureSettings, estimate_curvature_deg
+from labelgen.calibration.vanishing.resampling import ResamplingSettings, resampled_spread
+from labelgen.calibration.vanishing.track_lines import TrackLines, TrackLineSettings, track_lines
+from labelgen.calibration.vanishing.vehicle_groups import VehicleGroupSettings, group_vehicles, outer_tracks
+from labelgen.calibration.vanishing.vp1 import Vp1Settings, estimate_vp1, refine_vp1
+from labelgen.calibration.vanishing.vp2 import (
+    NormalizedEdges,
+    Vp2Estimate,
+    Vp2Settings,
+    estimate_vp2,
+    normalize_edgelets,
+    orthogonal_vanishing_points,
+)
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array
 
-__all__ = ["Basis", "Orientation", "estimate_orientation", "road_camera"]
+__all__ = ["Orientation", "OrientationInputs", "OrientationSettings", "camera_from_angles", "estimate_orientation"]
 
-# Half a usual field of view: with it, normalised angles are nearly angles at the camera.
-_UNIT_WIDTHS = 1.2
-_SHORTEST_SHARE = 0.04
-_LONGEST_SCATTER = 0.03
-_LEAST_DEPTH = 0.03
-# So many tracks at the sides of vehicles make those in their middle superfluous, which err together.
-_FEWEST_OUTER, _INNER_WORTH = 40, 0.02
-_RESAMPLES = 12
-_BLOCK_S = 3.0
-_RESAMPLED_EDGES = 2500
-# Edges of one vehicle are seen again and again; so many of them are worth as much as independent ones would be.
-_EDGES_PER_VEHICLE = 20
-# A vanishing point farther away than this, px, is brought this near by turning the camera by less than it is known.
-_FARTHEST_PX = 1e7
+_MAX_VP_PX = 1e7
+"""Vanishing points farther away, px, are brought this near: it turns the camera by less than it is known."""
+
+
+@dataclass(frozen=True)
+class OrientationSettings:
+    """How the orientation is put together from its parts."""
+
+    unit_widths: float = 1.2
+    """Normalised unit in lengths of the frame's longer side: about a usual focal length, so that normalised angles are
+    nearly angles at the camera."""
+    min_track_length: float = 0.04
+    """Shortest track that is a line, in units; shorter ones are more, with less accurate directions."""
+    max_scatter_share: float = 0.03
+    """Largest scatter of a track about its line, as a share of its length; above it the track is no line."""
+    scatter_px: float = 2.0
+    """Added to the largest scatter, px: the noise of short tracks."""
+    min_outer_tracks: int = 40
+    """With so many tracks at the sides of vehicles, those between them nearly do not count: they err together."""
+    inner_weight: float = 0.02
+    """Weight of the tracks between the sides then."""
+    edges_per_vehicle: float = 20.0
+    """Edges of one vehicle are seen in many frames; all are worth as much as so many independent ones."""
+    lines: TrackLineSettings = field(default_factory=TrackLineSettings)
+    """Of the tracks as lines."""
+    groups: VehicleGroupSettings = field(default_factory=VehicleGroupSettings)
+    """Of the tracks' vehicles."""
+    vp1: Vp1Settings = field(default_factory=Vp1Settings)
+    """Of VP1."""
+    curvature: CurvatureSettings = field(default_factory=CurvatureSettings)
+    """Of the road's curvature."""
+    vp2: Vp2Settings = field(default_factory=Vp2Settings)
+    """Of VP2 and the focal length."""
+    resampling: ResamplingSettings = field(default_factory=ResamplingSettings)
+    """Of the spreads."""
+    confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
+    """Of what is refused."""
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
+class OrientationInputs:
     """What an orientation was estimated from, in normalised coordinates.
 
     Args:
         unit: px per unit.
-        width: of the picture, units.
+        width: of the frame, units.
         tracks: (N,) numbers of the tracks used, in the observations' list.
         vehicles: (N,) number of each track's vehicle.
         road: (M, 2) places on the road.
         edges: of vehicles.
-        temper: by how much the edges' joint evidence is discounted.
-        across: what they say.
+        likelihood_power: factor on the edges' joint log-likelihood.
+        vp2: the estimate from these edges.
+        vp2_settings: of that estimate.
     """
 
     unit: float
@@ -61,9 +93,10 @@ class Basis:
     tracks: NDArray[np.int64]
     vehicles: NDArray[np.int64]
     road: Array
-    edges: Edges
-    temper: float
-    across: Across
+    edges: NormalizedEdges
+    likelihood_power: float
+    vp2: Vp2Estimate
+    vp2_settings: Vp2Settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,159 +107,135 @@ class Orientation:
         camera: scale None.
         evidence: what it rests on.
         supporting: numbers of the tracks that VP1 rests on, in the observations' list.
-        basis: what it was estimated from.
+        inputs: what it was estimated from.
     """
 
     camera: Camera
-    evidence: Evidence
+    evidence: CalibrationEvidence
     supporting: NDArray[np.int64]
-    basis: Basis
+    inputs: OrientationInputs
 
 
 def estimate_orientation(
-    name: str, seen: Observations, pp: ArrayLike | None = None, *, resamples: int = _RESAMPLES
+    name: str, observations: Observations, pp: ArrayLike | None = None, settings: OrientationSettings | None = None
 ) -> Orientation:
-    """VP1, VP2 and the focal length.
+    """Estimate VP1, VP2 and the focal length from tracks and edges.
 
     Args:
         name: of the video, for messages.
-        seen: what the pass over it gave.
-        pp: (2,) px, principal point; the picture's middle when None.
-        resamples: how often the traffic is resampled for the spreads.
+        observations: what the pass over it gave.
+        pp: (2,) px, principal point; the frame's centre when None.
+        settings: thresholds.
 
     Raises:
-        CalibrationRefusedError: the video cannot carry it; says why.
+        CalibrationRefusedError: the video cannot carry a calibration; says why.
     """
-    width, height = seen.size_wh
+    settings = settings or OrientationSettings()
+    width, height = observations.size_wh
     centre = np.array([width / 2, height / 2]) if pp is None else np.asarray(pp, dtype=np.float64)
-    unit = _UNIT_WIDTHS * max(width, height)
-    numbers, lines = _usable_lines(seen, centre, unit)
-    check_camera(name, seen, len(lines), len(lines))
-    first = find_travel(lines)
-    horizon = _horizon_px(first.direction, centre, unit)
-    vehicles = group_vehicles([seen.tracks[k] for k in numbers], horizon, _LEAST_DEPTH * unit)
-    weights: Array = np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5
-    count = _weighty(vehicles, lines)
-    check_camera(name, seen, len(lines), count)
-    outer = outer_tracks(lines, first.direction, vehicles)
-    if np.count_nonzero(outer) >= _FEWEST_OUTER:
-        weights = weights * np.where(outer, 1.0, _INNER_WORTH)
-    travel = refine_travel(lines, first.direction, vehicles, weights)
-    importance = weights * lines.length
-    along_share = float(np.average(travel.explained, weights=importance))
-    bend = bend_deg(lines, travel, weights)
-    check_travel(name, along_share, bend)
-
-    edges = edges_of(seen.edgelets, centre, unit)
-    road = lines.centre[travel.explained]
-    temper = min(1.0, _EDGES_PER_VEHICLE * count / max(len(edges), 1))
-    across = find_across(edges, travel.direction, width / unit, road=road, temper=temper)
-    check_across(name, across.support, across.support_share, float(np.degrees(across.tilt_sd)))
-    camera = road_camera(travel.direction, across.tilt, across.focal, centre, unit, seen.size_wh)
-    spread = _Resampler(seen, lines, vehicles, weights, edges, road, width / unit).spread(
-        travel, across, temper, resamples
+    unit = settings.unit_widths * max(width, height)
+    numbers, lines = _usable_lines(observations, centre, unit, settings)
+    check_observations(name, observations, len(lines), len(lines), settings.confidence)
+    first = estimate_vp1(lines, settings=settings.vp1)
+    vehicles = group_vehicles(
+        [observations.tracks[k] for k in numbers],
+        _horizon_px(first.direction, centre, unit),
+        settings.groups.min_depth * unit,
+        settings.groups,
     )
-    evidence = Evidence(
+    count = _count_vehicles(vehicles, lines, settings.min_track_length)
+    check_observations(name, observations, len(lines), count, settings.confidence)
+    weights: Array = np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5
+    outer = outer_tracks(lines, first.direction, vehicles, settings.groups)
+    if np.count_nonzero(outer) >= settings.min_outer_tracks:
+        weights = weights * np.where(outer, 1.0, settings.inner_weight)
+    vp1 = refine_vp1(lines, first.direction, vehicles, weights, settings.vp1)
+    along_share = float(np.average(vp1.inliers, weights=weights * lines.length))
+    curvature_deg = estimate_curvature_deg(lines, vp1, weights, settings.curvature)
+    check_vp1(name, along_share, curvature_deg, settings.confidence)
+
+    edges = normalize_edgelets(observations.edgelets, centre, unit, settings.vp2)
+    road = lines.centre[vp1.inliers]
+    power = min(1.0, settings.edges_per_vehicle * count / max(len(edges), 1))
+    vp2 = estimate_vp2(edges, vp1.direction, width / unit, road=road, likelihood_power=power, settings=settings.vp2)
+    check_vp2(name, vp2.support, vp2.support_share, float(np.degrees(vp2.tilt_sd)), settings.confidence)
+    inputs = OrientationInputs(unit, width / unit, numbers, vehicles, road, edges, power, vp2, settings.vp2)
+    spread = resampled_spread(
+        lines,
+        vehicles,
+        weights,
+        edges,
+        observations.edgelets[:, 4],
+        vp1,
+        vp2,
+        road=road,
+        width=width / unit,
+        likelihood_power=power,
+        vp1_settings=settings.vp1,
+        vp2_settings=settings.vp2,
+        settings=settings.resampling,
+    )
+    evidence = CalibrationEvidence(
         vehicles=count,
         tracks=len(lines),
         edges=len(edges),
         along_share=along_share,
-        bend_deg=bend,
-        across_edges=across.support,
-        across_share=across.support_share,
-        vp1_deg=spread[0],
-        tilt_deg=float(np.degrees(np.hypot(spread[1], across.tilt_sd))),
-        focal=float(np.hypot(spread[2], across.focal_sd)),
-        drift=seen.drift,
-        seconds=seen.duration_s,
+        curvature_deg=curvature_deg,
+        vp2_edges=vp2.support,
+        vp2_share=vp2.support_share,
+        vp1_sd_deg=spread.vp1_deg,
+        tilt_sd_deg=float(np.degrees(np.hypot(spread.tilt, vp2.tilt_sd))),
+        focal_sd=float(np.hypot(spread.log_focal, vp2.focal_sd)),
+        drift=observations.drift,
+        duration_s=observations.duration_s,
     )
-    basis = Basis(unit, width / unit, numbers, vehicles, road, edges, temper, across)
-    return Orientation(camera, evidence, numbers[travel.explained], basis)
+    camera = camera_from_angles(vp1.direction, vp2.tilt, vp2.focal, centre, unit, observations.size_wh)
+    return Orientation(camera, evidence, numbers[vp1.inliers], inputs)
 
 
-def road_camera(vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]) -> Camera:
-    """The camera of a normalised VP1 (3,), a tilt and a focal length in units."""
+def camera_from_angles(
+    vp1: Array, tilt: float, focal: float, pp: Array, unit: float, size_wh: tuple[int, int]
+) -> Camera:
+    """Return the camera of a VP1, a tilt and a focal length.
+
+    Args:
+        vp1: (3,) homogeneous, normalised.
+        tilt: of the horizon, rad.
+        focal: focal length, units.
+        pp: (2,) px, principal point.
+        unit: px per unit.
+        size_wh: px of the frame.
+    """
     v = vp1 * (np.sign(vp1[2]) or 1.0)
-    v = v / max(float(v[2]), unit / _FARTHEST_PX * float(np.linalg.norm(v[:2])), 1e-12)
+    v = v / max(float(v[2]), unit / _MAX_VP_PX * float(np.linalg.norm(v[:2])), 1e-12)
     horizon = np.array([np.cos(tilt), np.sin(tilt)])
-    # Seen straight ahead VP1 has VP2 at infinity, which two numbers cannot tell.
-    least = (focal**2 + float(v[:2] @ v[:2])) * unit / _FARTHEST_PX
+    # With VP1 straight ahead VP2 is at infinity, which two pixel coordinates cannot hold.
+    least = (focal**2 + float(v[:2] @ v[:2])) * unit / _MAX_VP_PX
     beside = float(v[:2] @ horizon)
     if abs(beside) < least:
         v[:2] += horizon * (least * (np.sign(beside) or 1.0) - beside)
-    across, _ = directions(np.array([*v[:2], 1.0]), np.array(tilt), np.array(focal))
-    return Camera(pp + unit * v[:2], pp + unit * across[:2] / across[2], pp, image_wh=size_wh)
+    vp2, _ = orthogonal_vanishing_points(np.array([*v[:2], 1.0]), np.array(tilt), np.array(focal))
+    return Camera(pp + unit * v[:2], pp + unit * vp2[:2] / vp2[2], pp, image_wh=size_wh)
 
 
-def _usable_lines(seen: Observations, pp: Array, unit: float) -> tuple[NDArray[np.int64], TrackLines]:
-    """Tracks long and straight enough to be lines, by number."""
-    lines = track_lines(seen.tracks, pp, unit)
-    kept = (lines.length > _SHORTEST_SHARE) & (lines.scatter < _LONGEST_SCATTER * lines.length + 2 * lines.pixel)
-    return np.flatnonzero(kept), lines[kept]
+def _usable_lines(
+    observations: Observations, pp: Array, unit: float, settings: OrientationSettings
+) -> tuple[NDArray[np.int64], TrackLines]:
+    """Return the tracks long and straight enough to be lines: their numbers (N,) and the lines."""
+    lines = track_lines(observations.tracks, pp, unit, settings.lines)
+    max_scatter = settings.max_scatter_share * lines.length + settings.scatter_px * lines.pixel
+    usable = (lines.length > settings.min_track_length) & (lines.scatter < max_scatter)
+    return np.flatnonzero(usable), lines[usable]
 
 
 def _horizon_px(vp1: Array, pp: Array, unit: float) -> float:
-    """y of the horizon where VP1 is; far above the picture where that is at infinity."""
+    """Return y of the horizon where VP1 is; far above the frame where that is at infinity."""
     return float(pp[1] + unit * np.clip(vp1[1] / vp1[2] if abs(vp1[2]) > 1e-3 else -np.inf, -5.0, 5.0))
 
 
-def _weighty(vehicles: NDArray[np.int64], lines: TrackLines) -> int:
-    """How many of the groups are more than a stray feature."""
+def _count_vehicles(vehicles: NDArray[np.int64], lines: TrackLines, min_length: float) -> int:
+    """Return how many of the groups of tracks are more than a stray feature."""
     several = np.bincount(vehicles) > 1
-    way = np.zeros(len(several))
-    np.maximum.at(way, vehicles, lines.length)
-    return int(np.count_nonzero(several & (way > 2 * _SHORTEST_SHARE)))
-
-
-class _Resampler:
-    """The same estimate from resampled stretches of time."""
-
-    def __init__(
-        self,
-        seen: Observations,
-        lines: TrackLines,
-        vehicles: NDArray[np.int64],
-        weights: Array,
-        edges: Edges,
-        road: Array,
-        width: float,
-    ) -> None:
-        self._lines, self._vehicles, self._weights, self._road, self._width = lines, vehicles, weights, road, width
-        thin = np.arange(len(edges))[:: max(1, len(edges) // _RESAMPLED_EDGES)]
-        self._edges = edges[thin]
-        self._share = len(edges) / max(len(thin), 1)
-        self._edge_blocks = (seen.edgelets[thin, 4] / _BLOCK_S).astype(np.int64)
-        self._track_blocks = (lines.time_s / _BLOCK_S).astype(np.int64)
-
-    def spread(self, travel: Travel, across: Across, temper: float, resamples: int) -> tuple[float, float, float]:
-        """Standard deviations of VP1's direction (degrees), of the tilt (rad), and of the focal length (a share)."""
-        rng = np.random.default_rng(0)
-        blocks = np.unique(np.concatenate([self._edge_blocks, self._track_blocks]))
-        found = []
-        for _ in range(resamples):
-            drawn = np.bincount(rng.integers(0, len(blocks), len(blocks)), minlength=len(blocks))
-            times = drawn[np.searchsorted(blocks, self._track_blocks)]
-            if np.count_nonzero(times) < 4:
-                continue
-            kept = times > 0
-            again = refine_travel(
-                self._lines[kept], travel.direction, self._vehicles[kept], (self._weights * times)[kept]
-            )
-            edges = self._edges[
-                np.repeat(np.arange(len(self._edges)), drawn[np.searchsorted(blocks, self._edge_blocks)])
-            ]
-            other = find_across(
-                edges, again.direction, self._width, road=self._road, temper=temper * self._share, around=across
-            )
-            found.append((*self._at_camera(again.direction, across.focal), other.tilt, np.log(other.focal)))
-        if len(found) < 3:
-            return 5.0, across.tilt_sd, across.focal_sd
-        table = np.array(found)
-        here = self._at_camera(travel.direction, across.focal)
-        apart = np.degrees(np.arccos(np.clip(np.abs(table[:, :3] @ here), 0, 1)))
-        return float(np.sqrt((apart**2).mean())), float(table[:, 3].std()), float(table[:, 4].std())
-
-    @staticmethod
-    def _at_camera(vp1: Array, focal: float) -> Array:
-        ray = vp1 * np.array([1.0, 1.0, focal])
-        return np.asarray(ray / np.linalg.norm(ray))
+    length = np.zeros(len(several))
+    np.maximum.at(length, vehicles, lines.length)
+    return int(np.count_nonzero(several & (length > 2 * min_length)))

@@ -13,7 +13,7 @@ import pytest
 from speed_scenes import make_camera
 
 from labelgen.calibration.observation.klt_tracks import Track
-from labelgen.calibration.road_mask import road_mask
+from labelgen.calibration.road_mask import estimate_road_mask
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera, Pair, Rectification
 
@@ -52,7 +52,7 @@ def iou(one: np.ndarray, two: np.ndarray) -> float:
 @pytest.mark.parametrize("away", [False, True])
 def test_the_road_is_where_traffic_runs(away: bool, factor: float) -> None:
     camera = make_camera(factor)
-    found = road_mask(replace(camera, scale=None), traffic(camera, -5.5, 5.5, away=away))
+    found = estimate_road_mask(replace(camera, scale=None), traffic(camera, -5.5, 5.5, away=away))
     assert found.pixels.shape == (camera.image_wh[1], camera.image_wh[0])  # type: ignore[index]
     rows = band(camera, -40.0, 40.0)
     assert iou(found.pixels & rows, band(camera, -5.5, 5.5)) > 0.85
@@ -64,7 +64,7 @@ def test_the_road_is_where_traffic_runs(away: bool, factor: float) -> None:
 def test_two_directions_are_two_carriageways() -> None:
     camera = make_camera()
     tracks = [*traffic(camera, 4.0, 9.0), *traffic(camera, -9.0, -4.0, away=True)]
-    found = road_mask(camera, tracks).pixels
+    found = estimate_road_mask(camera, tracks).pixels
     for y, expected in ((6.5, True), (0.0, False), (-6.5, True)):
         column, row = camera.project([30.0, y]).astype(int)
         assert found[row, column] == expected, y
@@ -76,7 +76,7 @@ def test_what_crosses_the_road_does_not_widen_it() -> None:
     for x in np.linspace(20, 60, 30):
         points = camera.project(np.stack([np.full(20, x), np.linspace(-12, 12, 20)], axis=1))
         across.append(Track(np.arange(20.0), points))
-    found = road_mask(camera, [*traffic(camera, -4.0, 4.0), *across])
+    found = estimate_road_mask(camera, [*traffic(camera, -4.0, 4.0), *across])
     assert found.along == pytest.approx(150 / 180)
     rows = band(camera, -40.0, 40.0)
     assert iou(found.pixels & rows, band(camera, -4.0, 4.0)) > 0.8
@@ -85,15 +85,15 @@ def test_what_crosses_the_road_does_not_widen_it() -> None:
 def test_refusals() -> None:
     camera = make_camera()
     standing = [Track(np.arange(5.0), np.full((5, 2), 500.0))] * 30
-    sideways = [Track(np.arange(2.0), np.array([[x, 700.0], [x + 300.0, 700.0]])) for x in range(100, 130)]
+    horizon_tangent = [Track(np.arange(2.0), np.array([[x, 700.0], [x + 300.0, 700.0]])) for x in range(100, 130)]
     for tracks, reason in (
         ([], r"nothing moves along VP1 \(0 of 0 tracks"),
         (standing, "nothing moves along VP1"),
-        (sideways, r"nothing moves along VP1 \(0 of 30 tracks"),
+        (horizon_tangent, r"nothing moves along VP1 \(0 of 30 tracks"),
         (traffic(camera, -1.0, 1.0, count=4), r"too little moves along VP1 \(4 of 4 tracks"),
     ):
         with pytest.raises(CalibrationError, match=f"road mask: {reason}") as refusal:
-            road_mask(camera, tracks)
+            estimate_road_mask(camera, tracks)
         assert "\n" not in str(refusal.value)
 
 

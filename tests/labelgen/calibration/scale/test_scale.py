@@ -12,12 +12,17 @@ import pytest
 from random_cameras import random_camera
 from speed_scenes import make_camera
 
-from labelgen.calibration.observation.silhouettes import Blob, BlobCollector, mask_blobs
+from labelgen.calibration.observation.silhouettes import (
+    SilhouetteCollector,
+    SilhouetteSettings,
+    VehicleSilhouette,
+    silhouettes_from_masks,
+)
 from labelgen.calibration.scale.estimate import ScaleEstimate
 from labelgen.calibration.scale.from_dimensions import MEAN_VEHICLE_M, scale_from_dimensions
 from labelgen.calibration.scale.from_distances import KnownDistance, parse_distance, scale_from_distances
 from labelgen.calibration.scale.from_models import scale_from_models
-from labelgen.calibration.scale.methods import scale_way
+from labelgen.calibration.scale.methods import parse_scale_method
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.geometry.vehicle_bodies import common_bodies
@@ -33,22 +38,22 @@ def inside(camera: Camera, points: np.ndarray) -> bool:
     return bool(((points > 5) & (points < np.array(camera.image_wh) - 5)).all())
 
 
-def cuboid_blobs(camera: Camera, count: int, size: tuple[float, float, float]) -> list[Blob]:
+def cuboid_blobs(camera: Camera, count: int, size: tuple[float, float, float]) -> list[VehicleSilhouette]:
     rng = np.random.default_rng(0)
     near = np.stack([rng.uniform(25, 60, count), rng.uniform(-6, 6, count)], axis=1)
     vertices = camera.project(road_cuboids(near, np.tile(size, (count, 1))))
-    return [Blob(i, float(i), hull(v)) for i, v in enumerate(vertices) if inside(camera, v)]
+    return [VehicleSilhouette(i, float(i), hull(v)) for i, v in enumerate(vertices) if inside(camera, v)]
 
 
 def vehicle_blobs(
     camera: Camera, count: int, *, seed: int = 0, noise_px: float = 0.0, merged: float = 0.0
-) -> list[Blob]:
+) -> list[VehicleSilhouette]:
     """Outlines of vehicles of the common types, each with a size of its own; a share of them two in one outline."""
     rng = np.random.default_rng(seed)
     bodies = common_bodies()
     shares = np.array([body.share for body in bodies])
-    blobs: list[Blob] = []
-    while len(blobs) < count:
+    silhouettes: list[VehicleSilhouette] = []
+    while len(silhouettes) < count:
         parts = []
         x, y = rng.uniform(18, 45), rng.uniform(-6, 6)
         for k in range(2 if rng.random() < merged else 1):
@@ -58,8 +63,8 @@ def vehicle_blobs(
         points = np.concatenate(parts)
         if inside(camera, points):
             outline = hull(points + rng.normal(0, noise_px, points.shape) if noise_px else points)
-            blobs.append(Blob(len(blobs), 0.5 * len(blobs), outline))
-    return blobs
+            silhouettes.append(VehicleSilhouette(len(silhouettes), 0.5 * len(silhouettes), outline))
+    return silhouettes
 
 
 # -- dimensions -----------------------------------------------------------------------------------------------
@@ -76,8 +81,8 @@ def test_exact_boxes_give_the_exact_scale(factor: float) -> None:
 
 def test_the_mean_vehicle_can_be_another_one_and_the_least_ratio_counts() -> None:
     camera = make_camera()
-    blobs = cuboid_blobs(camera, 40, (4.4, 1.8, 1.5))
-    found = scale_from_dimensions(camera, blobs, mean_m=(4.4 * 1.3, 1.8 * 0.9, 1.5))
+    silhouettes = cuboid_blobs(camera, 40, (4.4, 1.8, 1.5))
+    found = scale_from_dimensions(camera, silhouettes, mean_m=(4.4 * 1.3, 1.8 * 0.9, 1.5))
     assert camera.scale is not None
     assert found.scale == pytest.approx(0.9 * camera.scale, rel=5e-3)
     assert found.details["by_length"] == pytest.approx(1.3 * camera.scale, rel=5e-3)
@@ -85,7 +90,7 @@ def test_the_mean_vehicle_can_be_another_one_and_the_least_ratio_counts() -> Non
 
 @pytest.mark.parametrize("mean", [(4.27, 1.74), (4.27, 0.0, 1.5), (math.nan, 1.7, 1.5)])
 def test_a_mean_vehicle_that_is_none(mean: tuple[float, ...]) -> None:
-    with pytest.raises(CalibrationError, match="mean vehicle: expected length, width and height"):
+    with pytest.raises(CalibrationError, match="mean_m: expected length, width and height"):
         scale_from_dimensions(make_camera(), cuboid_blobs(make_camera(), 20, MEAN_VEHICLE_M), mean_m=mean)
 
 
@@ -110,43 +115,43 @@ def test_models_find_the_scale_of_any_camera(seed: int) -> None:
 
 def test_models_stand_noise_and_merged_vehicles() -> None:
     camera = make_camera()
-    blobs = vehicle_blobs(camera, 80, noise_px=1.5, merged=0.35)
-    first = scale_from_models(replace(camera, scale=None), blobs)
+    silhouettes = vehicle_blobs(camera, 80, noise_px=1.5, merged=0.35)
+    first = scale_from_models(replace(camera, scale=None), silhouettes)
     assert first.scale == pytest.approx(camera.scale, rel=0.03)
     assert first.count < 80
     # Whatever scale the camera states, it does not count; and the same outlines give the same.
-    again = scale_from_models(replace(camera, scale=7.0), blobs)
+    again = scale_from_models(replace(camera, scale=7.0), silhouettes)
     assert again == first
 
 
-def few(camera: Camera) -> list[Blob]:
+def few(camera: Camera) -> list[VehicleSilhouette]:
     return vehicle_blobs(camera, 5)
 
 
-def tiny(camera: Camera) -> list[Blob]:
+def tiny(camera: Camera) -> list[VehicleSilhouette]:
     return [replace(b, polygon_px=b.polygon_px.mean(axis=0) + 0.05 * b.polygon_px) for b in vehicle_blobs(camera, 20)]
 
 
-def shapeless(camera: Camera) -> list[Blob]:
+def shapeless(camera: Camera) -> list[VehicleSilhouette]:
     rng = np.random.default_rng(3)
     middles = rng.uniform([300, 500], [1600, 900], (30, 2))
     wide = [[[-k, -9], [k, -9], [k, 9], [-k, 9]] for k in rng.uniform(60, 400, 30)]
-    return [Blob(i, float(i), m + np.array(w)) for i, (m, w) in enumerate(zip(middles, wide, strict=True))]
+    return [VehicleSilhouette(i, float(i), m + np.array(w)) for i, (m, w) in enumerate(zip(middles, wide, strict=True))]
 
 
 @pytest.mark.parametrize(
-    ("blobs", "reason"),
+    ("silhouettes", "reason"),
     [
         (few, "5 silhouettes of vehicles are large and whole enough"),
         (tiny, "0 silhouettes of vehicles are large and whole enough"),
         (shapeless, "of 30 silhouettes look like vehicles along the road"),
     ],
 )
-def test_what_models_refuse(blobs: Callable[[Camera], list[Blob]], reason: str) -> None:
+def test_what_models_refuse(silhouettes: Callable[[Camera], list[VehicleSilhouette]], reason: str) -> None:
     with pytest.raises(CalibrationError, match=reason) as refusal:
-        scale_from_models(make_camera(), blobs(make_camera()))
+        scale_from_models(make_camera(), silhouettes(make_camera()))
     assert "\n" not in str(refusal.value)
-    assert "--scale distance:" in str(refusal.value)
+    assert "distance:x1,y1,x2,y2,METRES" in str(refusal.value)
 
 
 # -- known distances ------------------------------------------------------------------------------------------
@@ -219,7 +224,7 @@ def test_distances_that_cannot_be_measured() -> None:
 )
 def test_ways_by_name(texts: list[str], name: str) -> None:
     camera = make_camera()
-    way = scale_way(texts)
+    way = parse_scale_method(texts)
     found = way(replace(camera, scale=None), vehicle_blobs(camera, 40))
     assert (way.name, found.method) == (name, name)
     assert found.scale > 0
@@ -228,10 +233,10 @@ def test_ways_by_name(texts: list[str], name: str) -> None:
 @pytest.mark.parametrize(
     ("texts", "reason"),
     [
-        ([], "give one way, or known distances"),
-        (["auto-models", "distance:1,2,3,4,5"], "give one way"),
-        (["guess"], "--scale guess: unknown way; use auto-models, auto-dimensions"),
-        (["auto-models:x"], "unknown way"),
+        ([], "give one method, or known distances"),
+        (["auto-models", "distance:1,2,3,4,5"], "give one method"),
+        (["guess"], "scale guess: unknown method; use auto-models, auto-dimensions"),
+        (["auto-models:x"], "unknown method"),
         (["auto-dimensions:4,2"], "expected the mean vehicle's LENGTH,WIDTH,HEIGHT in metres"),
         (["auto-dimensions:a,b,c"], "expected the mean vehicle's"),
         (["distance:1,2,3"], "expected five numbers"),
@@ -239,7 +244,7 @@ def test_ways_by_name(texts: list[str], name: str) -> None:
 )
 def test_ways_that_are_none(texts: list[str], reason: str) -> None:
     with pytest.raises(CalibrationError, match=reason):
-        scale_way(texts)
+        parse_scale_method(texts)
 
 
 def test_an_estimate_must_be_a_scale() -> None:
@@ -256,27 +261,27 @@ def test_blobs_leave_out_what_the_border_cuts_and_join_what_a_windscreen_parts()
         mask = np.zeros((180, 400), dtype=np.bool_)
         mask[y0:y1, x0:x1] = True
         masks.append(mask)
-    blobs = mask_blobs(InstanceMasks.from_masks((400, 180), masks, [0] * 4, np.ones(4)), 7, 0.28, 3.0)
-    boxes = [[*b.polygon_px.min(axis=0), *b.polygon_px.max(axis=0)] for b in blobs]
+    silhouettes = silhouettes_from_masks(InstanceMasks.from_masks((400, 180), masks, [0] * 4, np.ones(4)), 7, 0.28, 3.0)
+    boxes = [[*b.polygon_px.min(axis=0), *b.polygon_px.max(axis=0)] for b in silhouettes]
     expected = [[300, 150, 450, 240], [306, 270, 444, 330], [900, 270, 1020, 330], [300, 150, 450, 330]]
     np.testing.assert_allclose(boxes, expected, atol=1)
-    assert [b.joined for b in blobs] == [False, False, False, True]
-    assert {(b.number, b.time_s) for b in blobs} == {(7, 0.28)}
+    assert [b.joined for b in silhouettes] == [False, False, False, True]
+    assert {(b.frame_number, b.time_s) for b in silhouettes} == {(7, 0.28)}
 
 
 def test_the_collector_finds_what_moves_and_keeps_a_bounded_sample() -> None:
     rng = np.random.default_rng(0)
     ground = cv2.resize(rng.integers(90, 130, (45, 80, 3), dtype=np.uint8), (960, 540))
-    collector = BlobCollector(capacity=20)
+    collector = SilhouetteCollector(SilhouetteSettings(capacity=20))
     for number in range(40):
         picture = ground.copy()
         x = 40 + 20 * number
         picture[200:320, x : x + 100] = (200, 40, 30)
-        collector.see(number, 0.4 * number, picture)
-        collector.see(number, 0.4 * number + 0.04, picture)  # too soon after the last to look at
-    blobs = collector.blobs()
-    assert 25 <= collector.seen <= 40
-    assert len(blobs) == 20
-    middles = np.array([b.polygon_px.mean(axis=0) for b in blobs])
-    np.testing.assert_allclose(middles[:, 0], [90 + 20 * b.number for b in blobs], atol=8)
+        collector.update(number, 0.4 * number, picture)
+        collector.update(number, 0.4 * number + 0.04, picture)  # too soon after the last to look at
+    silhouettes = collector.silhouettes()
+    assert 25 <= collector.count <= 40
+    assert len(silhouettes) == 20
+    middles = np.array([b.polygon_px.mean(axis=0) for b in silhouettes])
+    np.testing.assert_allclose(middles[:, 0], [90 + 20 * b.frame_number for b in silhouettes], atol=8)
     np.testing.assert_allclose(middles[:, 1], 260, atol=8)

@@ -8,13 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from labelgen.calibration.observation.association import choose_sightings, vehicle_of_blobs
+from labelgen.calibration.observation.association import associate_silhouettes, select_silhouettes
 from labelgen.calibration.observation.collect import Observations, Track
-from labelgen.calibration.observation.silhouettes import Blob
-from labelgen.calibration.scale.estimate import unit_camera
+from labelgen.calibration.observation.silhouettes import VehicleSilhouette
+from labelgen.calibration.road_units import unit_camera
 from labelgen.calibration.vanishing.bundle_adjustment import refine_orientation
 from labelgen.calibration.vanishing.orientation import estimate_orientation
-from labelgen.calibration.vehicle_fit import Hypotheses, first_fit, improve, measure, residuals
+from labelgen.calibration.vehicle_fit.measurements import measure_silhouettes
+from labelgen.calibration.vehicle_fit.model_fit import BodyHypotheses, initial_fit
+from labelgen.calibration.vehicle_fit.optimize import optimize_fit
+from labelgen.calibration.vehicle_fit.residuals import fit_residuals
+from labelgen.calibration.vehicle_fit.settings import VehicleFitSettings
 from labelgen.geometry import Camera
 from labelgen.geometry.camera import look_at_road
 from labelgen.geometry.vehicle_bodies import common_bodies
@@ -30,7 +34,7 @@ def angle_deg(camera: Camera, other: Camera) -> float:
 
 def traffic(
     camera: Camera, vehicles: int, *, slide: float, firm_sides: bool = False, seed: int = 0
-) -> tuple[Observations, list[Blob]]:
+) -> tuple[Observations, list[VehicleSilhouette]]:
     """Vehicles that come along the road, with exact outlines three times per second.
 
     Features slide down the bodies by this much per metre driven, m: what reflections and rounded edges do; those at
@@ -38,7 +42,7 @@ def traffic(
     """
     rng = np.random.default_rng(seed)
     bodies = common_bodies()
-    tracks, edgelets, blobs = [], [], []
+    tracks, edgelets, silhouettes = [], [], []
     for number in range(vehicles):
         body = bodies[int(rng.choice(len(bodies), p=[b.share for b in bodies]))].points
         body = body * rng.normal(1, [0.04, 0.02, 0.03])
@@ -57,7 +61,7 @@ def traffic(
             if not ((px > 5) & (px < np.array(WH) - 5)).all():
                 continue
             outline = cv2.convexHull((px + rng.normal(0, 0.5, px.shape)).astype(np.float32))[:, 0].astype(np.float64)
-            blobs.append(Blob(round(10 * (start + time_s)), start + time_s, outline))
+            silhouettes.append(VehicleSilhouette(round(10 * (start + time_s)), start + time_s, outline))
             for z in (0.3, 0.5, 0.9):
                 ends = camera.project([[at - 2, y - 0.7, z], [at - 2, y + 0.7, z]])
                 edgelets.append([*(ends + rng.normal(0, 0.3, (2, 2))).ravel(), start + time_s])
@@ -66,30 +70,30 @@ def traffic(
     duration = 4.0 * vehicles
     return Observations(
         WH, 10.0, duration, tracks, np.array(edgelets), np.zeros(10), 0.0, None, True
-    ), sorted(blobs, key=lambda blob: blob.time_s)  # fmt: skip
+    ), sorted(silhouettes, key=lambda silhouette: silhouette.time_s)  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "focal"), [((35.0, 5.0), 2000), ((30.0, -14.0), 1800)], ids=["nearly straight ahead", "oblique"]
 )
-def test_vehicles_that_keep_their_size_mend_what_sliding_features_spoil(target, focal):
+def test_bundle_adjustment_reduces_the_error_of_sliding_features(target, focal):
     camera = replace(look_at_road(9.0, target, focal, WH, 0.5), pp=np.array([960.0, 540.0]))
-    seen, blobs = traffic(camera, 30, slide=0.009)
+    seen, silhouettes = traffic(camera, 30, slide=0.009)
     first = estimate_orientation("drawn", seen, None)
-    refined = refine_orientation(seen, first, blobs)
+    refined = refine_orientation(seen, first, silhouettes)
     before, after = angle_deg(camera, first.camera), angle_deg(camera, refined.camera)
     assert before > 0.3
     # Here everything slides, also what is at the vehicles' sides, of which tracks are believed to 10 px.
     assert after < 0.65 * before
-    assert refined.evidence.seen_again > 20
+    assert refined.evidence.reobserved_vehicles > 20
     # The spread says what silhouettes and tracks together are good for, not how well the tracks agree.
-    assert 0.5 * after < 2 * refined.evidence.vp1_deg < 3
+    assert 0.5 * after < 2 * refined.evidence.vp1_sd_deg < 3
     assert refined.camera.focal == pytest.approx(focal, rel=0.06)
     assert refined.supporting is first.supporting
 
 
-def test_what_slides_in_the_middle_of_vehicles_does_not_move_vp1():
+def test_sliding_features_in_the_middle_of_vehicles_do_not_move_vp1():
     camera = replace(look_at_road(9.0, (35.0, 5.0), 2000, WH, 0.5), pp=np.array([960.0, 540.0]))
     all_slide, firm = (
         angle_deg(camera, estimate_orientation("drawn", traffic(camera, 30, slide=0.009, firm_sides=f)[0], None).camera)
@@ -99,17 +103,17 @@ def test_what_slides_in_the_middle_of_vehicles_does_not_move_vp1():
     assert firm < 0.5 * all_slide
 
 
-def test_without_vehicles_seen_again_the_camera_stays():
+def test_without_reobserved_vehicles_the_camera_stays():
     camera = look_at_road(9.0, (35.0, 5.0), 2000, WH, 0.5)
-    seen, blobs = traffic(camera, 12, slide=0.0)
+    seen, silhouettes = traffic(camera, 12, slide=0.0)
     first = estimate_orientation("drawn", seen, None)
-    once = {blob.time_s // 4: blob for blob in blobs}
+    once = {silhouette.time_s // 4: silhouette for silhouette in silhouettes}
     assert refine_orientation(seen, first, []) is first
     assert refine_orientation(seen, first, list(once.values())) is first
-    assert refine_orientation(seen, first, [replace(blob, joined=True) for blob in blobs]) is first
+    assert refine_orientation(seen, first, [replace(silhouette, joined=True) for silhouette in silhouettes]) is first
 
 
-# -- one vehicle, several sightings ---------------------------------------------------------------------------
+# -- one vehicle, several silhouettes ---------------------------------------------------------------------------
 
 
 def test_the_size_and_places_of_a_vehicle_come_back():
@@ -120,23 +124,24 @@ def test_the_size_and_places_of_a_vehicle_come_back():
     places = [(60.0, 2.0), (40.0, 1.5), (25.0, 1.0)]
     for k, (x, y) in enumerate(places):
         px = camera.project(bodies[1].points + np.array([x, y, 0]))
-        outlines.append(Blob(k, float(k), cv2.convexHull(px.astype(np.float32))[:, 0].astype(np.float64)))
-    seen, chosen = measure(unit, outlines, np.array([7, 7, 7]))
-    assert chosen.tolist() == [0, 1, 2]
-    hypotheses = Hypotheses.of(bodies)
-    fit = improve(unit, seen, hypotheses, first_fit(seen, hypotheses), 12)
-    costs = fit.over_pairs(residuals(unit, seen, hypotheses, fit).costs())
+        outlines.append(VehicleSilhouette(k, float(k), cv2.convexHull(px.astype(np.float32))[:, 0].astype(np.float64)))
+    settings = VehicleFitSettings()
+    measured, numbers = measure_silhouettes(unit, outlines, np.array([7, 7, 7]), settings)
+    assert numbers.tolist() == [0, 1, 2]
+    hypotheses = BodyHypotheses.from_bodies(bodies)
+    fit = optimize_fit(unit, measured, hypotheses, initial_fit(measured, hypotheses, settings), 12, settings)
+    costs = fit.sum_over_pairs(fit_residuals(unit, measured, hypotheses, fit, settings).costs)
     # Pairs are in the order of the bodies, driving away before coming closer.
     assert int(costs.argmin()) == 2
     assert np.exp(-fit.shape[2, 0]) == pytest.approx(camera.scale, rel=0.02)
     assert camera.scale is not None
-    found = fit.place[fit.pair == 2] * camera.scale
-    assert np.abs(found - places).max() < 0.6
+    fitted_m = fit.place[fit.pair == 2] * camera.scale
+    assert np.abs(fitted_m - places).max() < 0.6
 
 
-def square(number: int, x: float, y: float, half: float, *, joined: bool = False) -> Blob:
+def square(number: int, x: float, y: float, half: float, *, joined: bool = False) -> VehicleSilhouette:
     corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]]) + np.array([x, y])
-    return Blob(number, number / 10, corners, joined=joined)
+    return VehicleSilhouette(number, number / 10, corners, joined=joined)
 
 
 def line(x0: float, x1: float, y: float = 100.0) -> Track:
@@ -155,13 +160,13 @@ def line(x0: float, x1: float, y: float = 100.0) -> Track:
     ],
     ids=["one feature", "most of them", "no majority", "elsewhere", "later", "no features"],
 )
-def test_whose_silhouette_it_is(tracks, vehicles, expected):
-    blobs = [square(5, 150, 100, 20), square(5, 150, 100, 20, joined=True)]
-    assert vehicle_of_blobs(blobs, tracks, np.array(vehicles, dtype=np.int64)).tolist() == [expected, -1]
+def test_silhouettes_go_to_the_vehicle_of_their_features(tracks, vehicles, expected):
+    silhouettes = [square(5, 150, 100, 20), square(5, 150, 100, 20, joined=True)]
+    assert associate_silhouettes(silhouettes, tracks, np.array(vehicles, dtype=np.int64)).tolist() == [expected, -1]
 
 
-def test_which_sightings_are_compared():
-    blobs = [
+def test_silhouettes_of_vehicles_seen_twice_are_selected():
+    silhouettes = [
         square(0, 100, 100, 10), square(1, 100, 100, 40),  # vehicle 0, which grows most
         square(0, 500, 100, 20), square(1, 500, 100, 30),  # vehicle 1
         square(1, 500, 160, 12),  # a part of it in the same frame
@@ -170,6 +175,6 @@ def test_which_sightings_are_compared():
         square(0, 900, 500, 20), square(1, 900, 500, 20),  # nobody knows whose
     ]  # fmt: skip
     vehicles = np.array([0, 0, 1, 1, 1, 1, 2, -1, -1])
-    assert choose_sightings(blobs, vehicles, least_px=10, most=100).tolist() == [0, 1, 2, 3]
-    assert choose_sightings(blobs, vehicles, least_px=10, most=2).tolist() == [0, 1]
-    assert choose_sightings(blobs, np.full(9, -1), least_px=10, most=100).tolist() == []
+    assert select_silhouettes(silhouettes, vehicles, min_size_px=10, max_count=100).tolist() == [0, 1, 2, 3]
+    assert select_silhouettes(silhouettes, vehicles, min_size_px=10, max_count=2).tolist() == [0, 1]
+    assert select_silhouettes(silhouettes, np.full(9, -1), min_size_px=10, max_count=100).tolist() == []

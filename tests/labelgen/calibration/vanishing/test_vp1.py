@@ -5,10 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from labelgen.calibration.observation.collect import Track
-from labelgen.calibration.vanishing.curvature import bend_deg
-from labelgen.calibration.vanishing.orientation import road_camera
-from labelgen.calibration.vanishing.vp1 import find_travel, group_vehicles, refine_travel, track_lines
+from labelgen.calibration.observation.klt_tracks import Track
+from labelgen.calibration.vanishing.curvature import estimate_curvature_deg
+from labelgen.calibration.vanishing.orientation import camera_from_angles
+from labelgen.calibration.vanishing.track_lines import track_lines
+from labelgen.calibration.vanishing.vehicle_groups import group_vehicles
+from labelgen.calibration.vanishing.vp1 import estimate_vp1, refine_vp1
 from labelgen.geometry import Camera
 from labelgen.geometry.camera import look_at_road
 
@@ -48,19 +50,19 @@ def vp_px(direction):
 
 def calibrated(tracks):
     lines = track_lines(tracks, PP, UNIT)
-    first = find_travel(lines)
+    first = estimate_vp1(lines)
     horizon = PP[1] + UNIT * first.direction[1] / first.direction[2]
     vehicles = group_vehicles(tracks, float(horizon), 0.03 * UNIT)
-    return lines, vehicles, refine_travel(lines, first.direction, vehicles)
+    return lines, vehicles, refine_vp1(lines, first.direction, vehicles)
 
 
 @pytest.mark.parametrize("target", [(35.0, 5.0), (30.0, -12.0), (28.0, 22.0), (60.0, 0.01)])
 def test_parallel_traffic_gives_its_direction(target):
     cam, rng = camera(target), np.random.default_rng(0)
     tracks = [t for k in range(30) for t in drive(cam, rng, y=target[1] / 2 + rng.choice([-4, 0, 4]))]
-    _, _, travel = calibrated(tracks)
-    assert angle_deg(cam, vp_px(travel.direction)) < 0.15
-    assert travel.explained.mean() > 0.97
+    _, _, vp1 = calibrated(tracks)
+    assert angle_deg(cam, vp_px(vp1.direction)) < 0.15
+    assert vp1.inliers.mean() > 0.97
 
 
 def test_lanes_that_converge_do_not_lift_the_horizon():
@@ -73,11 +75,11 @@ def test_lanes_that_converge_do_not_lift_the_horizon():
             cam, rng, y=(6.0, -1.0)[k % 2], heading_deg=(-1.0, 1.0)[k % 2], features=9, noise_px=0.15, x=(34.0, 18.0)
         )
     ]
-    lines, vehicles, travel = calibrated(tracks)
-    alone = refine_travel(lines, travel.direction, np.arange(len(lines)))
+    lines, vehicles, vp1 = calibrated(tracks)
+    alone = refine_vp1(lines, vp1.direction, np.arange(len(lines)))
     normal = np.cross([*(cam.vp1 - PP), UNIT], [*(cam.vp2 - PP), UNIT])[:2]
     normal /= np.linalg.norm(normal)
-    off, off_alone = (abs(float((vp_px(t.direction) - cam.vp1) @ normal)) for t in (travel, alone))
+    off, off_alone = (abs(float((vp_px(t.direction) - cam.vp1) @ normal)) for t in (vp1, alone))
     assert len(np.unique(vehicles)) == pytest.approx(60, abs=12)
     assert off < 18  # px, 0.7 degrees
     assert off < 0.4 * off_alone
@@ -98,25 +100,25 @@ def test_features_of_one_vehicle_are_grouped_and_vehicles_kept_apart():
 def test_bends_are_noticed_with_their_side(radius, least, most):
     cam, rng = camera((35.0, 0.01)), np.random.default_rng(5)
     tracks = [t for k in range(30) for t in drive(cam, rng, y=rng.choice([-3.5, 0, 3.5]), radius=radius)]
-    lines, _, travel = calibrated(tracks)
-    assert least <= bend_deg(lines, travel, np.ones(len(lines))) <= most
+    lines, _, vp1 = calibrated(tracks)
+    assert least <= estimate_curvature_deg(lines, vp1, np.ones(len(lines))) <= most
 
 
 def test_ends_that_leave_the_line_do_not_matter():
-    # What blob trackers do at the border of a mask: the last points slide along it.
+    # What silhouette trackers do at the border of a mask: the last points slide along it.
     cam, rng = camera(), np.random.default_rng(6)
     tracks = []
     for track in (t for k in range(30) for t in drive(cam, rng, y=rng.choice([-4, 0, 4]), features=2)):
         slide = track.points_px[-1] + np.arange(1, 8)[:, None] * np.array([14.0, 2.0])
         times = np.concatenate([track.times_s, track.times_s[-1] + 0.04 * np.arange(1, 8)])
         tracks.append(Track(times, np.concatenate([track.points_px, slide])))
-    _, _, travel = calibrated(tracks)
-    assert angle_deg(cam, vp_px(travel.direction)) < 0.3
+    _, _, vp1 = calibrated(tracks)
+    assert angle_deg(cam, vp_px(vp1.direction)) < 0.3
 
 
 @pytest.mark.parametrize("vp1", [(0.0, -0.2, 1.0), (0.0, -0.02, 1.0), (0.4, -0.3, 1.0), (1.0, -0.01, 1e-5)])
 def test_a_camera_comes_of_every_vanishing_point(vp1):
-    cam = road_camera(np.array(vp1), 0.02, 0.9, PP, UNIT, WH)
+    cam = camera_from_angles(np.array(vp1), 0.02, 0.9, PP, UNIT, WH)
     assert cam.focal == pytest.approx(0.9 * UNIT, rel=0.02)
     ray = np.array([*(cam.vp1 - PP), UNIT])
     assert (
@@ -135,7 +137,7 @@ def test_real_tracks_of_all_recordings(real_data):
         unit = 1.2 * 1920
         lines = track_lines(tracks, best.pp, unit)
         lines = lines[lines.length > 0.12]
-        direction = find_travel(lines).direction
+        direction = estimate_vp1(lines).direction
         found = best.pp + unit * direction[:2] / direction[2]
         published = Camera(data["camera_calibration"]["vp1"], best.vp2, best.pp)
         rays = [np.array([*(p - best.pp), best.focal]) for p in (found, published.vp1)]

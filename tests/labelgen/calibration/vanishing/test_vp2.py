@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labelgen.calibration.vanishing.vp2 import directions, edges_of, find_across
+from labelgen.calibration.vanishing.vp2 import estimate_vp2, normalize_edgelets, orthogonal_vanishing_points
 from labelgen.geometry.camera import look_at_road
 
 WH = (1920, 1080)
@@ -12,7 +12,7 @@ UNIT = 1.2 * WH[0]
 
 
 def scene(target, focal, roll, rng, *, count=3000, noise_deg=0.4, stray=0.5):
-    """Edges of vehicles in a known camera: across, up, along, and stray ones."""
+    """NormalizedEdges of vehicles in a known camera: across, up, along, and stray ones."""
     cam = look_at_road(9.0, target, focal, WH, roll)
     middles = rng.uniform([100, 250], [1800, 1050], (count, 2))
     road = cam.road_points(middles, invalid="nan")
@@ -25,9 +25,11 @@ def scene(target, focal, roll, rng, *, count=3000, noise_deg=0.4, stray=0.5):
     return cam, np.concatenate([middles - half, middles + half], axis=1), middles
 
 
-def found(cam, edgelets, middles):
+def estimate(cam, edgelets, middles):
     vp1 = np.array([*(cam.vp1 - PP) / UNIT, 1.0])
-    return find_across(edges_of(edgelets, PP, UNIT), vp1, WH[0] / UNIT, road=(middles - PP) / UNIT, temper=0.3)
+    return estimate_vp2(
+        normalize_edgelets(edgelets, PP, UNIT), vp1, WH[0] / UNIT, road=(middles - PP) / UNIT, likelihood_power=0.3
+    )
 
 
 @pytest.mark.parametrize(
@@ -37,11 +39,11 @@ def found(cam, edgelets, middles):
 )
 def test_tilt_and_focal_length_come_back(target, focal, roll):
     cam, edgelets, middles = scene(target, focal, roll, np.random.default_rng(1))
-    across = found(cam, edgelets, middles)
+    vp2 = estimate(cam, edgelets, middles)
     way = cam.vp2 - cam.vp1
-    assert np.degrees(across.tilt) == pytest.approx(np.degrees(np.arctan(way[1] / way[0])), abs=0.25)
-    assert across.focal * UNIT == pytest.approx(focal, rel=0.04)
-    assert abs(np.log(across.focal * UNIT / focal)) < 4 * across.focal_sd
+    assert np.degrees(vp2.tilt) == pytest.approx(np.degrees(np.arctan(way[1] / way[0])), abs=0.25)
+    assert vp2.focal * UNIT == pytest.approx(focal, rel=0.04)
+    assert abs(np.log(vp2.focal * UNIT / focal)) < 4 * vp2.focal_sd
 
 
 def test_vp2_at_infinity_leaves_the_focal_length_to_the_prior_and_says_so():
@@ -51,9 +53,9 @@ def test_vp2_at_infinity_leaves_the_focal_length_to_the_prior_and_says_so():
     middles = rng.uniform([100, 300], [1800, 1000], (500, 2))
     half = np.array([15.0, 0.0])
     edgelets = np.concatenate([middles - half, middles + half], axis=1)
-    across = found(cam, edgelets, middles)
-    assert abs(across.tilt) < np.radians(0.2)
-    assert across.focal_sd > 0.1
+    vp2 = estimate(cam, edgelets, middles)
+    assert abs(vp2.tilt) < np.radians(0.2)
+    assert vp2.focal_sd > 0.1
 
 
 def test_directions_are_orthogonal_and_on_the_horizon():
@@ -61,7 +63,7 @@ def test_directions_are_orthogonal_and_on_the_horizon():
     for _ in range(20):
         vp1 = np.array([*rng.normal(0, 0.5, 2), 1.0])
         tilt, focal = rng.uniform(-0.2, 0.2), rng.uniform(0.4, 3)
-        across, up = directions(vp1, np.array(tilt), np.array(focal))
+        across, up = orthogonal_vanishing_points(vp1, np.array(tilt), np.array(focal))
         rays = [p * [1, 1, focal] for p in (vp1, across, up)]
         for a, b in ((0, 1), (0, 2), (1, 2)):
             assert abs(rays[a] @ rays[b]) < 1e-9 * np.linalg.norm(rays[a]) * np.linalg.norm(rays[b])
@@ -71,6 +73,6 @@ def test_directions_are_orthogonal_and_on_the_horizon():
 
 def test_the_road_stays_below_the_horizon():
     cam, edgelets, middles = scene((30.0, 10.0), 1800, 0.0, np.random.default_rng(4), count=400, stray=0.95)
-    across = found(cam, edgelets, middles)
-    down = np.array([-np.sin(across.tilt), np.cos(across.tilt)])
+    vp2 = estimate(cam, edgelets, middles)
+    down = np.array([-np.sin(vp2.tilt), np.cos(vp2.tilt)])
     assert ((middles - cam.vp1) @ down > 0).mean() > 0.95
