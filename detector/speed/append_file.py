@@ -1,7 +1,7 @@
-"""Files that grow record by record and are whole after each of them, whatever happens next.
+"""Files that grow by one record at a time and can be read after each of them.
 
-A result file is one JSON object, so each new car is written over the closing bracket, which follows it again. When the
-disk fills, the half-written record is taken back: what was there before stays readable.
+A result file is one JSON object: each new car is written over the closing bracket, and the bracket is written again
+after it. If the disk is full, the incomplete record is removed, and the records before stay readable.
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ class AppendFile:
     """Context manager for a file of `head record separator record ... tail`.
 
     Args:
-        path: replaced if it exists.
-        head, separator, tail: text around the records.
+        path: of the file; replaced if it exists.
+        head, separator, tail: text before, between and after the records.
+
+    Attributes:
+        count: number of records written.
 
     Raises:
-        OutputError: the file cannot be made or grown; records written before are still there.
+        OutputError: the file cannot be made or extended; records written before are still in it.
     """
 
     def __init__(self, path: Path, *, head: str = "", separator: str = "", tail: str = "") -> None:
@@ -39,13 +42,17 @@ class AppendFile:
                 raise
 
     def add(self, record: str) -> None:
-        """Write one more record; it is in the operating system's hands when this returns."""
+        """Write one more record. The operating system has it when this returns; it may not be on the disk yet.
+
+        Raises:
+            OutputError: the record cannot be written; the file is as before.
+        """
         with as_output_error(self.path):
             self._write((self._separator if self.count else b"") + record.encode())
         self.count += 1
 
     def _write(self, data: bytes) -> None:
-        """Put data before the tail, or leave the file as it was."""
+        """Write data before the tail, or leave the file as it was."""
         end = self._end
         try:
             self._put(data + self._tail, end)
@@ -57,9 +64,9 @@ class AppendFile:
         self._end = end + len(data)
 
     def _put(self, data: bytes, at: int) -> None:
-        done = 0
-        while done < len(data):
-            done += os.pwrite(self._file.fileno(), data[done:], at + done)
+        written = 0
+        while written < len(data):
+            written += os.pwrite(self._file.fileno(), data[written:], at + written)
 
     def __enter__(self) -> AppendFile:
         return self

@@ -1,4 +1,4 @@
-"""Reading and writing detections as JSON lines.
+"""Files of detections, as JSON lines.
 
     {"format": "labelgen-detections", "version": 1, "variant": "transform3d", "frame_wh": [1920, 1080], "fps": 50.0,
      "rectification": {"pair": "VP2-VP3", "size": [640, 360], "matrix": [[...], ...], "vpu": [x, y]},
@@ -27,7 +27,8 @@ import numpy as np
 
 from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView, Variant
+from detector.speed.measurement import MeasurementView
+from detector.speed.variant import Variant
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
 
@@ -37,7 +38,12 @@ _FORMAT, _VERSION = "labelgen-detections", 1
 
 
 def detections_head(view: MeasurementView, fps: float | None) -> str:
-    """First line of the file."""
+    """Return the first line of the file.
+
+    Args:
+        view: of the detections.
+        fps: frames per second; None where not known.
+    """
     rectification = view.rectification
     head = {
         "format": _FORMAT,
@@ -60,13 +66,15 @@ def detections_head(view: MeasurementView, fps: float | None) -> str:
 
 @dataclass(frozen=True, eq=False)
 class DetectionFile:
-    """A file of detections, opened: its head is read, its frames are not.
+    """The head of a file of detections; its frames are read by `frames`.
 
     Args:
-        path: the file.
-        variant, frame_wh, fps: as the head says.
-        rectification: that of the boxes; None where they lie in the frame.
-        mask_extent: of what the outlines are that boxes end with; None where they do not.
+        path: of the file.
+        variant: how the measured point is found.
+        frame_wh: px; size of the frame.
+        fps: frames per second; None where not known.
+        rectification: in which the boxes lie; None where they lie in the frame.
+        mask_extent: what the masks cover that boxes end with; None for boxes that end at the edge of a 3D box.
     """
 
     path: Path
@@ -78,7 +86,10 @@ class DetectionFile:
 
     @classmethod
     def open(cls, path: Path) -> DetectionFile:
-        """Read the head.
+        """Read the head of a file.
+
+        Args:
+            path: of the file.
 
         Raises:
             DataError: no such file, or not of this format.
@@ -110,11 +121,21 @@ class DetectionFile:
         return cls(path, variant, frame_wh, fps, rectification, mask_extent)
 
     def view(self, camera: Camera) -> MeasurementView:
-        """The view its boxes lie in, with a camera for metres."""
+        """Return the view in which the boxes lie.
+
+        Args:
+            camera: of the scene, with a scale.
+
+        Raises:
+            CalibrationError: the camera has no scale, or does not know the size of its frame.
+        """
         return MeasurementView(self.variant, camera, self.rectification, self.mask_extent)
 
     def frames(self, view: MeasurementView) -> Iterator[Detections]:
-        """The detections, frame by frame.
+        """Yield the detections of one frame after the other.
+
+        Args:
+            view: as `view` returns it.
 
         Raises:
             DataError: a line is damaged, or its frame does not follow the one before; names the line.
@@ -125,13 +146,14 @@ class DetectionFile:
                 if number == 1 or not text.strip():
                     continue
                 line = _parse(self.path, number, text)
-                found = self._detections(view, line, number)
-                if found.frame <= last:
+                detections = self._detections(view, line, number)
+                frame = detections.frame
+                if frame <= last:
                     raise DataError(
-                        f"detections {self.path}, line {number}: frame {found.frame} after frame {last}; sort the lines"
+                        f"detections {self.path}, line {number}: frame {frame} after frame {last}; sort the lines"
                     )
-                last = found.frame
-                yield found
+                last = frame
+                yield detections
 
     def _detections(self, view: MeasurementView, line: dict[str, Any], number: int) -> Detections:
         try:
@@ -142,13 +164,13 @@ class DetectionFile:
                 time_s = frame / self.fps if self.fps else math.nan
             count = len(boxes)
             arrays = {key: _array(line, key, count) for key in ("boxes", "cc", "scores", "classes", "vertices")}
-            found, _ = view.place(
+            detections, _ = view.place(
                 frame, float(time_s), arrays["boxes"], arrays["cc"], arrays["scores"], arrays["classes"],
                 arrays["vertices"],
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as err:
             raise DataError(f"detections {self.path}, line {number}: damaged ({err})") from None
-        return found
+        return detections
 
 
 _SHAPES: dict[str, tuple[int, ...]] = {"boxes": (4,), "cc": (), "scores": (), "classes": (), "vertices": (8, 2)}

@@ -1,4 +1,4 @@
-"""What detections come from: the interface of every source, and of a network that looks at rectified pictures."""
+"""The interface of every source of detections."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ __all__ = ["DetectionSource"]
 
 
 class DetectionSource(Protocol):
-    """Frames in, detections out.
+    """Detects the vehicles of frames: with masks (`mask_detections`), or with a network (`model_detections`).
+
+    `view`, `rejects` and `problems` may be read at any time. The last two grow while `stream` is consumed, and are
+    complete when it has ended.
 
     Attributes:
-        view: where the detections lie.
-        rejects: how many candidates gave no detection, by reason.
-        problems: what had to be skipped so far, one line each.
+        view: in which the detections lie; the same for all frames.
+        rejects: number of candidates that gave no detection, by reason.
+        problems: what was skipped so far, one line each.
     """
 
     @property
@@ -30,5 +33,15 @@ class DetectionSource(Protocol):
     def problems(self) -> list[str]: ...
 
     def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
-        """Each frame with its detections, in order."""
+        """Yield frames with their detections.
+
+        Each frame is yielded once, in the order of the source, also where it has no detections; frames that the source
+        cannot read are left out. The frame is the one given, not a copy.
+
+        Args:
+            frames: of the camera of `view`.
+
+        Raises:
+            LabelgenError: what reading or detecting raises, after the frames before have been yielded.
+        """
         ...

@@ -1,4 +1,4 @@
-"""Instance masks as a source of detections: what a perfect detector would find, and the way without a trained one."""
+"""Detections from instance masks, for measuring without a trained detector and with exact masks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView, Variant
+from detector.speed.measurement import MeasurementView
+from detector.speed.variant import Variant
 from labelgen.errors import RectificationError
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
 from labelgen.labeling.from_masks import LabelLimits, label_masks
@@ -20,22 +21,22 @@ from labelgen.media.frames import Frame, FrameSource, always
 __all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
 
 SPEED_LIMITS = LabelLimits(min_size_lwh_m=(0.0, 0.5, 0.0), max_size_lwh_m=(40.0, 6.0, 8.0))
-"""Wider than for training labels: a vehicle half hidden, or seen straight from behind, has no length to speak of, but
-its foot is where it is, and without it a track would break."""
+"""Bounds of plausible sizes, metres; wider than for training labels. The length of a vehicle that is half hidden, or
+seen from straight behind, is not known, but its contact point is. Narrower bounds would interrupt its track."""
 
 
 class MaskPlacer:
-    """Turns the instance masks of a frame into detections of a view.
+    """Place the instance masks of frames as detections.
 
     Args:
-        view: where the detections lie.
-        road: vehicles must stand on it.
-        pair: for 3D boxes around outlines, in which windows are rectified; other variants have it in their view.
-        rule: how c_c's two candidates become one.
-        limits: what to refuse.
+        view: in which the detections lie.
+        road: mask of the road; vehicles off the road are rejected.
+        pair: for variants that build 3D boxes around outlines: of the rectified windows. For others, the view has it.
+        rule: how the two candidates for c_c become one.
+        limits: bounds outside which a mask is rejected.
 
     Attributes:
-        rejects: how many masks gave no detection, by reason.
+        rejects: number of masks that gave no detection, by reason.
     """
 
     def __init__(
@@ -50,16 +51,24 @@ class MaskPlacer:
         self._road, self._pair, self._rule, self._limits = road.pixels, pair, rule, limits
 
     def place(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
-        """The detections of a frame."""
+        """Return the detections of a frame.
+
+        Args:
+            frame: number of the frame.
+            time_s: seconds since the first frame.
+            masks: of the frame.
+        """
         if self.view.variant is Variant.ORIG2D:
             return self._orig2d(frame, time_s, masks)
         if self.view.variant.from_tangents:
             return self._tangents(frame, time_s, masks)
         assert self.view.rectification is not None
         labels = self._labels(masks, self.view.rectification)
-        found, valid = self.view.place(frame, time_s, labels.boxes_xyxy, labels.cc, labels.scores, labels.class_ids)
+        detections, valid = self.view.place(
+            frame, time_s, labels.boxes_xyxy, labels.cc, labels.scores, labels.class_ids
+        )
         self._count_invalid(valid)
-        return found
+        return detections
 
     def _labels(self, masks: InstanceMasks, rectification: Rectification) -> Labels:
         labels, rejects = label_masks(masks, rectification, self.view.camera, self._road, self._rule, self._limits)
@@ -79,15 +88,15 @@ class MaskPlacer:
             dtype=np.bool_,
         )
         self.rejects["off the road"] += int(np.count_nonzero(~on_road))
-        found, valid = self.view.place(
+        detections, valid = self.view.place(
             frame, time_s, masks.boxes_xyxy[on_road], None, masks.scores[on_road], masks.class_ids[on_road]
         )
         self._count_invalid(valid)
-        return found
+        return detections
 
     def _tangents(self, frame: int, time_s: float, masks: InstanceMasks) -> Detections:
-        """3D boxes from the masks' own windows: nothing is cut at a rectified picture's border, or sampled coarsely."""
-        boxes, vertices, kept = masks.boxes_xyxy, [], []
+        """Build each 3D box in a rectified window around its mask, which no image border cuts."""
+        boxes, vertices, numbers = masks.boxes_xyxy, [], []
         for i in range(len(masks)):
             single = InstanceMasks(
                 masks.frame_wh, masks.origins[i : i + 1], masks.crops[i : i + 1], masks.class_ids[i : i + 1],
@@ -104,22 +113,22 @@ class MaskPlacer:
                 self._count_invalid(valid)
                 if valid[0]:
                     vertices.append(rectification.points_back(decoded[0]))
-                    kept.append(i)
-        index = np.array(kept, dtype=np.int64)
-        found, valid = self.view.place(
+                    numbers.append(i)
+        index = np.array(numbers, dtype=np.int64)
+        detections, valid = self.view.place(
             frame, time_s, boxes[index], None, masks.scores[index], masks.class_ids[index],
             np.array(vertices).reshape(-1, 8, 2),
         )  # fmt: skip
         self._count_invalid(valid)
-        return found
+        return detections
 
 
 class MaskDetections:
     """A mask source as a `detector.speed.detection_source.DetectionSource`.
 
     Args:
-        masks: where masks come from; primed before, where it wants to be.
-        placer: turns them into detections.
+        masks: source of the masks; primed before, if it needs that.
+        placer: places them as detections.
     """
 
     def __init__(self, masks: MaskSource, placer: MaskPlacer) -> None:
@@ -128,11 +137,11 @@ class MaskDetections:
 
     @property
     def problems(self) -> list[str]:
-        """What the mask source had to skip so far."""
+        """What the mask source skipped so far, one line each."""
         return self._masks.problems
 
     def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
-        """See `DetectionSource.stream`."""
+        """Yield frames with their detections; see `DetectionSource.stream`."""
         for frame, masks in masked_frames(frames, self._masks, always):
             if masks is not None:
                 yield frame, self._placer.place(frame.number, frame.time_s, masks)

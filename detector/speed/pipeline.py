@@ -1,4 +1,13 @@
-"""From frames to vehicles on disk. Reading, detecting, and tracking with writing run in three threads that overlap."""
+"""From frames to measured vehicles on disk. The way of a frame to a speed:
+
+1. A `DetectionSource` detects its vehicles: 2D boxes with c_c in the rectified image, or 3D boxes around masks.
+2. `MeasurementView.place` gives each box its contact point on the road (`variant`, `contact_point`).
+3. `IouTracker` joins the boxes of one frame after the other to tracks (Kocur & Ftacnik 2020, section 3.5).
+4. `SpeedMeter` takes the points that count and drops tracks that are too short (ibid.).
+5. `measure_track` takes the median of the speeds between points i and i + 5 (Sochor et al., IEEE T-ITS 2018).
+
+Frames are read, detected, and tracked and written in three threads that overlap.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +23,9 @@ import numpy as np
 from detector.speed.annotate import AnnotatedVideo
 from detector.speed.detection_source import DetectionSource
 from detector.speed.detections import Detections
+from detector.speed.measured_vehicle import MeasuredVehicle
 from detector.speed.measurement import MeasurementView
-from detector.speed.meter import MeasuredVehicle, SpeedMeter
+from detector.speed.meter import SpeedMeter
 from detector.speed.results import ResultFiles, ResultWriter
 from labelgen.media.frames import Frame
 from labelgen.media.prefetch import prefetch
@@ -23,24 +33,28 @@ from labelgen.media.timed_frames import TimedFrames
 
 __all__ = ["FrameDetections", "SpeedSummary", "detect", "measure", "with_frames"]
 
+# Frames detected ahead of tracking. A few are enough to overlap both; each one holds an image in memory.
 _DETECTIONS_AHEAD = 4
 
 FrameDetections = tuple[Frame | None, Detections]
+"""Detections with their frame; None where the frame is not at hand, as for detections from a file."""
 
 
 @dataclass
 class SpeedSummary:
-    """What a run came to.
+    """Counts and figures of one run.
 
     Args:
-        frames, detections, vehicles, duplicates: counts.
-        without_speed: vehicles with too few points for a speed.
-        dropped_tracks, rejects: counts by reason.
-        speeds_kmh: of all vehicles that have one.
-        last_s: time of the last frame.
-        seconds: how long it took.
-        interrupted: whether somebody stopped it.
-        problems: what had to be skipped, one line each.
+        frames, detections, vehicles: how many there were.
+        duplicates: number of boxes that were duplicates, or parts of a larger one.
+        without_speed: number of vehicles with too few points for a speed.
+        dropped_tracks: number of tracks that were dropped, by reason.
+        rejects: number of candidates that gave no detection, by reason.
+        speeds_kmh: of all vehicles that have a speed.
+        last_s: seconds; time of the last frame.
+        seconds: how long the run took.
+        interrupted: whether the user interrupted it.
+        problems: what was skipped, one line each.
     """
 
     frames: int = 0
@@ -57,7 +71,7 @@ class SpeedSummary:
     problems: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
-        """For `--json`."""
+        """Return the figures for JSON."""
         median = float(np.median(self.speeds_kmh)) if self.speeds_kmh else None
         return {
             "frames": self.frames,
@@ -76,27 +90,37 @@ class SpeedSummary:
 
 
 def detect(source: DetectionSource, frames: TimedFrames) -> Iterator[FrameDetections]:
-    """Frames with their detections; reading and detecting each run ahead in their own thread."""
+    """Yield frames with their detections; reading and detecting run ahead, each in a thread of its own.
+
+    Args:
+        source: detects the vehicles.
+        frames: to detect them in.
+    """
     return prefetch(source.stream(frames), _DETECTIONS_AHEAD)
 
 
 def with_frames(lines: Iterable[Detections], frames: TimedFrames | None) -> Iterator[FrameDetections]:
-    """Detections read from a file, with their frames beside them where there are any; frames without are left out."""
+    """Join detections from a file with their frames; frames without detections are left out.
+
+    Args:
+        lines: detections, in the order of their frames.
+        frames: of the same video; None where frames are not wanted.
+    """
     if frames is None:
-        for found in lines:
-            yield None, found
+        for detections in lines:
+            yield None, detections
         return
-    pictures = frames.frames()
-    with closing(pictures):  # type: ignore[type-var]
-        frame = next(pictures, None)
-        for found in lines:
-            while frame is not None and frame.number < found.frame:
-                frame = next(pictures, None)
-            yield (frame if frame is not None and frame.number == found.frame else None), found
+    remaining = frames.frames()
+    with closing(remaining):  # type: ignore[type-var]
+        frame = next(remaining, None)
+        for detections in lines:
+            while frame is not None and frame.number < detections.frame:
+                frame = next(remaining, None)
+            yield (frame if frame is not None and frame.number == detections.frame else None), detections
 
 
 def measure(
-    found: Iterator[FrameDetections],
+    frame_detections: Iterator[FrameDetections],
     view: MeasurementView,
     meter: SpeedMeter,
     files: ResultFiles,
@@ -106,30 +130,33 @@ def measure(
     keep_detections: bool = True,
     progress: Callable[[int], object] | None = None,
 ) -> SpeedSummary:
-    """Track, measure and write, until the detections end or somebody interrupts.
+    """Track, measure and write, until the detections end or the user interrupts.
 
     Args:
-        found: detections with, for rendering, their frames.
+        frame_detections: detections with their frames; frames are needed for `render` only. It is closed at the end.
         view: of the detections.
-        meter: new.
-        files: where to write.
-        fps: frames per second, where known; rendering wants it.
+        meter: a new one.
+        files: paths of the results.
+        fps: frames per second; None where not known, which is 25 in the annotated video.
         render: whether to write the annotated video.
         keep_detections: whether to write the detections.
-        progress: takes the number of frames done since its last call.
+        progress: called with the number of frames since its last call.
+
+    Returns:
+        the summary of the run. After an interruption all vehicles up to it are written.
 
     Raises:
-        LabelgenError: what the source raises, after all its vehicles are on disk; or a file cannot be written, after
-            which the vehicles that were finished before are in theirs.
+        LabelgenError: what the source raises, after all vehicles up to it are written.
+        OutputError: a file cannot be written; the vehicles that were finished before are in it.
     """
     summary = SpeedSummary()
     begin = perf_counter()
     with ExitStack() as stack:
-        stack.enter_context(closing(found))  # type: ignore[type-var]
+        stack.enter_context(closing(frame_detections))  # type: ignore[type-var]
         writer = stack.enter_context(ResultWriter(files, view, fps, keep_detections=keep_detections))
         video = stack.enter_context(AnnotatedVideo(files.video, view, fps or 25.0)) if render else None
         try:
-            for frame, detections in found:
+            for frame, detections in frame_detections:
                 ids, vehicles = meter.add(detections)
                 writer.add_detections(detections)
                 _write(writer, vehicles, summary)
@@ -144,7 +171,7 @@ def measure(
         except KeyboardInterrupt:
             summary.interrupted = True
         finally:
-            # Whatever ended the frames, the tracks up to here are whole. A disk that is full will say so again.
+            # The tracks up to here are complete, whatever ended the frames. If the disk is full, this raises again.
             _write(writer, meter.finish(), summary)
             summary.dropped_tracks, summary.duplicates = meter.dropped, meter.duplicates
             summary.seconds = perf_counter() - begin
@@ -152,6 +179,7 @@ def measure(
 
 
 def _write(writer: ResultWriter, vehicles: list[MeasuredVehicle], summary: SpeedSummary) -> None:
+    """Write vehicles and count them in the summary."""
     for vehicle in vehicles:
         writer.add_vehicle(vehicle)
         summary.vehicles += 1

@@ -1,4 +1,4 @@
-"""What `labelgen speed` leaves on disk, each vehicle as soon as it has passed.
+"""The files that `labelgen speed` writes. Each vehicle is written as soon as it has passed.
 
 DIR/NAME/system_VARIANT.json      the public result format: calibration and tracks; `labelgen evaluate` reads it
 DIR/NAME/vehicles_VARIANT.csv     one row per vehicle
@@ -19,8 +19,8 @@ from typing import Any
 from detector.speed.append_file import AppendFile
 from detector.speed.detection_file import detections_head
 from detector.speed.detections import Detections
+from detector.speed.measured_vehicle import MeasuredVehicle
 from detector.speed.measurement import MeasurementView
-from detector.speed.meter import MeasuredVehicle
 from labelgen.atomic_files import make_folder
 from labelgen.errors import OutputError
 from labelgen.labels import VehicleClass
@@ -35,7 +35,7 @@ CSV_COLUMNS = (
 
 @dataclass(frozen=True)
 class ResultFiles:
-    """Where the files of one run go."""
+    """Paths of the files of one run, all in one folder."""
 
     tracks: Path
     vehicles: Path
@@ -44,7 +44,13 @@ class ResultFiles:
 
     @classmethod
     def of(cls, out: Path, name: str, variant: str) -> ResultFiles:
-        """The files of a scene and a variant."""
+        """Return the paths for a scene and a variant.
+
+        Args:
+            out: folder for all scenes.
+            name: of the scene.
+            variant: its name.
+        """
         folder = out / name
         return cls(
             folder / f"system_{variant}.json",
@@ -54,28 +60,31 @@ class ResultFiles:
         )
 
     def prepare(self, *, overwrite: bool) -> None:
-        """Make the folder, and see to it that nothing is replaced unasked.
+        """Make the folder, and check that no file would be replaced against the user's will.
+
+        Args:
+            overwrite: whether files may be replaced.
 
         Raises:
-            OutputError: a file exists, or the folder cannot be made.
+            OutputError: a file exists and `overwrite` is False, or the folder cannot be made.
         """
         for path in (self.tracks, self.vehicles, self.detections, self.video):
             if path.exists() and not overwrite:
-                raise OutputError(f"{path}: it exists; add --overwrite or choose another --out")
+                raise OutputError(f"{path}: it exists; choose another folder, or overwrite it", parameter="overwrite")
         make_folder(self.tracks.parent)
 
 
 class ResultWriter:
-    """Context manager that writes tracks, vehicles and detections as they come.
+    """Context manager that writes tracks, vehicles and detections one by one.
 
     Args:
-        files: where to.
-        view: of the detections; its camera is the calibration written beside the tracks.
-        fps: frames per second, where known.
+        files: paths.
+        view: of the detections; its camera is the calibration in the file of tracks.
+        fps: frames per second; None where not known.
         keep_detections: whether to write the detections too.
 
     Raises:
-        OutputError: a file cannot be written; what was finished before is in it.
+        OutputError: a file cannot be written; the records written before are in it.
     """
 
     def __init__(
@@ -97,15 +106,10 @@ class ResultWriter:
             )
             self._stack = stack.pop_all()
 
-    @property
-    def count(self) -> int:
-        """Vehicles written so far."""
-        return self._vehicles.count
-
-    def add_detections(self, found: Detections) -> None:
-        """Write one frame's detections."""
+    def add_detections(self, detections: Detections) -> None:
+        """Write the detections of one frame."""
         if self._detections is not None:
-            self._detections.add(json.dumps(found.to_dict()) + "\n")
+            self._detections.add(json.dumps(detections.to_dict()) + "\n")
 
     def add_vehicle(self, vehicle: MeasuredVehicle) -> None:
         """Write one vehicle."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from detector.speed.measurement import Variant
+from detector.speed.variant import Variant
 from labelgen.choices import Pair, Rule
 from labelgen.cli.options import (
     CalibrationOption,

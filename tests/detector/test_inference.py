@@ -14,8 +14,8 @@ from detector.checkpoint import ModelMetadata
 from detector.device import choose_device
 from detector.inference import Detector, DeviceRectifier, fold_batch_norm, image_to_tensor, labels_from_output
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
-from detector.speed.measurement import Variant
 from detector.speed.model_detections import DetectorDetections, model_view
+from detector.speed.variant import Variant
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rectification, RoadMask
 from labelgen.media.frames import Frame

@@ -1,4 +1,4 @@
-"""Measured points of outlines: moved from the lowest line of a body to its near end."""
+"""Contact points, from the lowest lines of masks."""
 
 from __future__ import annotations
 

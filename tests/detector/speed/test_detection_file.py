@@ -11,7 +11,7 @@ import pytest
 from speed_scenes import Drive, exact_detections, make_view
 
 from detector.speed.detection_file import DetectionFile, detections_head
-from detector.speed.measurement import Variant
+from detector.speed.variant import Variant
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
 

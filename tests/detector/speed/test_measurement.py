@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from speed_scenes import Drive, exact_detections, make_camera, make_road, make_view
 
+from detector.speed.detections import inside_larger_box
 from detector.speed.mask_detections import MaskPlacer
-from detector.speed.measurement import MeasurementView, Variant
-from detector.speed.meter import inside_larger_box
+from detector.speed.measurement import MeasurementView
+from detector.speed.variant import Variant
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask
 from labelgen.masks import InstanceMasks
@@ -16,7 +17,7 @@ from labelgen.masks import InstanceMasks
 
 def test_names() -> None:
     assert Variant.parse(" MaskRCNN3D ") is Variant.MASKRCNN3D
-    with pytest.raises(LabelgenError, match="--variant 4d: unknown variant; use one of transform3d, transform2d"):
+    with pytest.raises(LabelgenError, match="variant 4d: unknown variant; use one of transform3d, transform2d"):
         Variant.parse("4d")
 
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from speed_scenes import CAR, Drive, exact_detections, make_camera, make_view
 
-from detector.speed.measurement import MeasurementView, Variant
-from detector.speed.meter import MeasuredVehicle, MeasureRules, SpeedMeter, speed_and_error
+from detector.speed.measured_vehicle import MeasuredVehicle, median_speed_and_error
+from detector.speed.measurement import MeasurementView
+from detector.speed.meter import MeasureRules, SpeedMeter
+from detector.speed.variant import Variant
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera, Pair
 
@@ -94,9 +96,9 @@ def line(camera: Camera, y_m: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("rules", "expected"), [(MeasureRules(), (30, 69)), (MeasureRules(leap_m=np.inf), (4, 69))], ids=["ours", "off"]
+    ("rules", "expected"), [(MeasureRules(), (30, 69)), (MeasureRules(jump_m=np.inf), (4, 69))], ids=["ours", "off"]
 )
-def test_a_track_that_leaps_to_the_next_vehicle_is_its_longest_part(
+def test_a_track_that_jumps_to_the_next_vehicle_is_its_longest_part(
     rules: MeasureRules, expected: tuple[int, int]
 ) -> None:
     """A car follows another; for three frames one box holds both, then the follower is hidden."""
@@ -176,14 +178,14 @@ def test_uncertainty_covers_the_error(wander: bool, least: float, most: float) -
     for _ in range(300):
         noise = rng.normal(0, 0.05, 200)
         along = 20.0 * times + (np.cumsum(noise) if wander else noise)
-        speed, error = speed_and_error(np.stack([along, np.zeros(200)], axis=1), times)
+        speed, error = median_speed_and_error(np.stack([along, np.zeros(200)], axis=1), times)
         within.append(abs(speed - 72.0) < error)
     assert least < np.mean(within) <= most
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_too_few_points_have_no_speed(count: int) -> None:
-    assert np.isnan(speed_and_error(np.zeros((count, 2)), np.arange(float(count)))).all()
+    assert np.isnan(median_speed_and_error(np.zeros((count, 2)), np.arange(float(count)))).all()
 
 
 def without_scale() -> Camera:

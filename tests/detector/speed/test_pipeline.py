@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from speed_scenes import Drive, exact_detections, frame_times, make_view, write_scene
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import Variant
 from detector.speed.meter import SpeedMeter
 from detector.speed.model_detections import DetectorDetections
 from detector.speed.pipeline import detect, measure
 from detector.speed.results import ResultFiles
+from detector.speed.variant import Variant
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, label_outlines, mask_outline
 from labelgen.labels import Labels
