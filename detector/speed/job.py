@@ -13,9 +13,9 @@ from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
 from detector.speed.mask_detections import MaskDetections, MaskPlacer
 from detector.speed.measurement import MeasurementView
-from detector.speed.variant import Variant
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import FrameDetections, detect, with_frames
+from detector.speed.variant import Variant
 from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rule

@@ -3,7 +3,7 @@
 DIR/NAME/system_VARIANT.json      the public result format: calibration and tracks; `labelgen evaluate` reads it
 DIR/NAME/vehicles_VARIANT.csv     one row per vehicle
 DIR/NAME/detections_VARIANT.jsonl one line per frame (see `detector.speed.detection_file`)
-DIR/NAME/annotated_VARIANT.avi    with --render
+DIR/NAME/annotated_VARIANT.avi     the annotated video, if asked for
 """
 
 from __future__ import annotations
