@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import subprocess
 import sys
@@ -11,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from commands import run_labelgen
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -29,21 +28,13 @@ def real_data() -> Path:
 @pytest.fixture
 def labelgen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     """Run the `labelgen` command in this process, in the test's folder."""
-    from labelgen.cli.main import main
 
     def run(*arguments: object, **env: str) -> subprocess.CompletedProcess[str]:
-        words = [str(argument) for argument in arguments]
-        out, err = io.StringIO(), io.StringIO()
-        code: int | str | None = 0
-        with monkeypatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with monkeypatch.context() as patch:
             patch.chdir(tmp_path)
             for name, value in env.items():
                 patch.setenv(name, value)
-            try:
-                main(words)
-            except SystemExit as end:
-                code = end.code
-        return subprocess.CompletedProcess(words, int(code or 0), out.getvalue(), err.getvalue())
+            return run_labelgen(*arguments)
 
     return run
 

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import torch
 from clips import write_clip
+from commands import run_labelgen
 from detector_shards import write_painted_shards
 
 from detector.checkpoint import METADATA_KEY, load_model, read_checkpoint
@@ -26,6 +27,15 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 REPOSITORY = Path(__file__).resolve().parents[3]
 SETTINGS = ("--preset", "small", "--device", "cpu", "--batch", 2, "--epochs", 2, "--steps-per-epoch", 4)
 ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """As many threads as the processes of the tests have: sums then have the same order."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +62,7 @@ def command(*arguments: object) -> list[str]:
 
 
 def run_train(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command("train", *arguments), cwd=REPOSITORY, env=environment(), capture_output=True, text=True, timeout=200
-    )
+    return run_labelgen("train", *arguments)
 
 
 def environment() -> dict[str, str]:
