@@ -1,8 +1,8 @@
 """Augmentation: one axis-aligned affine map for image, boxes, c_c and VPU, and changes of color.
 
 The map scales x and y, shifts, and may flip x. It leaves c_c unchanged and moves VPU, so that the 3D box a label
-decodes to is mapped like the image. Where the picture's border cuts a box, c_c is computed anew so that its line stays at the
-same height; where that line is cut off, c_c is not known.
+decodes to is mapped like the image. Where the picture's border cuts a box, c_c is computed anew so that its line stays
+at the same height; where that line is cut off, c_c is not known.
 
 Source: Kocur & Ftacnik 2020, section 3.4 (ranges).
 """
