@@ -109,7 +109,7 @@ def find_preset(name: str, **changes: object) -> Preset:
         LabelgenError: no such preset; the message lists all.
     """
     if name not in PRESETS:
-        raise LabelgenError(f"{name}: unknown preset; use one of {', '.join(PRESETS)}", parameter="preset")
+        raise LabelgenError(f"preset {name}: unknown; use one of {', '.join(PRESETS)}", parameter="preset")
     return replace(PRESETS[name], **{key: value for key, value in changes.items() if value is not None})  # type: ignore[arg-type]
 
 

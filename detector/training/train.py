@@ -113,8 +113,7 @@ def train(
         metadata = _metadata_of_resumed(last, metadata)
     elif last.exists() and not overwrite:
         raise OutputError(
-            f"{out}: it holds a training run; continue it with resume, or replace it with overwrite",
-            parameter="resume",
+            f"{out}: it holds a training run; resume it, or overwrite it", parameter=("resume", "overwrite")
         )
     make_folder(out)
     torch.manual_seed(seed)

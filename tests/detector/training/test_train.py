@@ -120,14 +120,15 @@ def test_resuming_wants_the_same_settings(trained: Path, shards: Path) -> None:
 def test_a_run_is_not_overwritten_unasked(trained: Path, shards: Path) -> None:
     again = run_train(shards, "--out", trained, *SETTINGS)
     assert again.returncode == 2
-    assert "continue it with resume, or replace it with overwrite" in again.stderr
+    assert "--resume" in again.stderr
+    assert "--overwrite" in again.stderr
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("--preset", "paper-640x360"), "but VP2-VP3 640x360 is wanted"),
-        (("--preset", "huge"), "unknown preset"),
+        (("--preset", "huge"), "--preset huge: unknown"),
         (("--weights", "missing.ckpt"), "checkpoint missing.ckpt"),
         (("--resume",), "last.ckpt"),
     ],
