@@ -35,9 +35,11 @@ if TYPE_CHECKING:
     from detector.metrics import evaluate_detections
     from detector.model.retinanet import ModelConfig
     from detector.speed.detections import Detections
-    from detector.speed.measurement import MeasurementView, Variant
-    from detector.speed.meter import MeasuredVehicle, MeasureRules, SpeedMeter
+    from detector.speed.measured_vehicle import MeasuredVehicle
+    from detector.speed.measurement import MeasurementView
+    from detector.speed.meter import MeasureRules, SpeedMeter
     from detector.speed.model_detections import DetectorDetections, model_view
+    from detector.speed.variant import Variant
     from detector.tracking.iou_tracker import IouTracker, TrackRules
     from detector.training.config import PRESETS, MachineConfig, Preset, find_preset
     from detector.training.train import TrainSummary, train
@@ -66,38 +68,28 @@ __all__ = [
     "train",
 ]
 
-_MODULE_OF = {
-    "PRESETS": "training.config",
-    "Detections": "speed.detections",
-    "Detector": "inference",
-    "DetectorDetections": "speed.model_detections",
-    "IouTracker": "tracking.iou_tracker",
-    "MachineConfig": "training.config",
-    "MeasureRules": "speed.meter",
-    "MeasuredVehicle": "speed.meter",
-    "MeasurementView": "speed.measurement",
-    "ModelConfig": "model.retinanet",
-    "ModelMetadata": "checkpoint",
-    "Preset": "training.config",
-    "SpeedMeter": "speed.meter",
-    "TrackRules": "tracking.iou_tracker",
-    "TrainSummary": "training.train",
-    "Variant": "speed.measurement",
-    "evaluate_detections": "metrics",
-    "find_preset": "training.config",
-    "load_detector": "inference",
-    "model_view": "speed.model_detections",
-    "train": "training.train",
+_ROOMS = {
+    "detector.checkpoint": ("ModelMetadata",),
+    "detector.inference": ("Detector", "load_detector"),
+    "detector.metrics": ("evaluate_detections",),
+    "detector.model.retinanet": ("ModelConfig",),
+    "detector.speed.detections": ("Detections",),
+    "detector.speed.measured_vehicle": ("MeasuredVehicle",),
+    "detector.speed.measurement": ("MeasurementView",),
+    "detector.speed.meter": ("MeasureRules", "SpeedMeter"),
+    "detector.speed.model_detections": ("DetectorDetections", "model_view"),
+    "detector.speed.variant": ("Variant",),
+    "detector.tracking.iou_tracker": ("IouTracker", "TrackRules"),
+    "detector.training.config": ("PRESETS", "MachineConfig", "Preset", "find_preset"),
+    "detector.training.train": ("TrainSummary", "train"),
 }
-"""Module, below this package, that each public name comes from."""
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    globals()[name] = value
+    if name not in _ROOM_OF:
+        raise AttributeError(f"module 'detector' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_ROOM_OF[name]), name)
     return value
 
 

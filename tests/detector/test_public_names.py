@@ -22,7 +22,7 @@ def test_public_names_are_these() -> None:
         "TrackRules", "TrainSummary", "Variant", "evaluate_detections", "find_preset", "load_detector", "model_view",
         "train",
     ]  # fmt: skip
-    assert set(detector._MODULE_OF) == set(detector.__all__)
+    assert set(detector._ROOM_OF) == set(detector.__all__)
 
 
 @pytest.mark.parametrize("name", detector.__all__)
