@@ -1,4 +1,4 @@
-"""The machine a network runs on, and whether it gains from half precision there."""
+"""Torch devices: which one to use, and whether it gains from half precision."""
 
 from __future__ import annotations
 
@@ -13,23 +13,27 @@ __all__ = ["choose_device", "gains_from_half"]
 
 
 def choose_device(name: str | None) -> torch.device:
-    """The device of this name; the GPU when there is one, by default.
+    """Return a torch device.
+
+    Args:
+        name: as torch has it, for instance "cpu" or "cuda:0"; None for the GPU where there is one, else the CPU.
 
     Raises:
-        LabelgenError: no such device here.
+        LabelgenError: no such device on this machine.
     """
     try:
         device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
         torch.empty(1, device=device)
     except (RuntimeError, AssertionError) as err:
-        raise LabelgenError(f"--device {name}: {' '.join(str(err).split())[:100]}; use cpu or cuda") from None
+        reason = " ".join(str(err).split())[:100]
+        raise LabelgenError(f"device {name}: {reason}; use cpu or cuda", parameter="device") from None
     return device
 
 
 def gains_from_half(device: torch.device) -> bool:
-    """Whether 16-bit convolutions are faster there: on GPUs, and on processors that multiply bfloat16 matrices."""
+    """Tell whether 16-bit convolutions are faster: on GPUs, and on processors that multiply bfloat16 matrices."""
     if device.type != "cpu":
         return True
-    # PyTorch tells since 2.10 or so; an older one that cannot tell runs in full precision, which is only slower.
+    # Older versions of PyTorch cannot tell; full precision is then only slower.
     abilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(abilities.get("amx_bf16") or abilities.get("sme2"))

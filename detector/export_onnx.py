@@ -1,8 +1,9 @@
-"""The detector for other runtimes, as ONNX.
+"""Export of a detector to ONNX, for other runtimes.
 
-Input `image` (3, H, W) float32 RGB in [0, 1], a rectified picture of the metadata's size. Outputs `boxes` (N, 4) px,
-`scores` (N,), `cc` (N,), best first, non-maximum suppression done; `sizes` (N, 2) from models that say them, to be
-merged with c_c and boxes as `detector.model.vehicle_size` does. The metadata lies in the file's metadata.
+The input `image` is a rectified picture (3, H, W) float32 RGB in [0, 1] of the size in the metadata. The outputs are
+`boxes` (N, 4) px, `scores` (N,) and `cc` (N,), highest score first, after non-maximum suppression. Models that predict
+sizes also have `sizes` (N, 2), which `detector.model.vehicle_size.merge_sizes` combines with c_c and boxes. The
+detector's metadata is stored as JSON in the metadata of the file, under "labelgen".
 """
 
 from __future__ import annotations
@@ -30,15 +31,17 @@ from labelgen.errors import LabelgenError
 
 __all__ = ["FixedSizeDetector", "Parity", "check_onnx", "export_onnx"]
 
-_HINT = "exporting needs ONNX: pip install 'labelgen[export]'"
+_INSTALL_HINT = "exporting needs ONNX: pip install 'labelgen[export]'"
 
 
 class FixedSizeDetector(nn.Module):
-    """The model for one picture of one size: fixed numbers of candidates, so that nothing depends on the data but NMS.
+    """A model for one picture of one size, which can be traced.
+
+    The numbers of candidates are fixed: only non-maximum suppression depends on the data.
 
     Args:
         model: trained.
-        size_wh: of the pictures, px.
+        size_wh: width, height px of the pictures.
     """
 
     anchors: Tensor
@@ -62,11 +65,15 @@ class FixedSizeDetector(nn.Module):
 
     @property
     def output_names(self) -> list[str]:
-        """What `forward` returns."""
+        """Names of what `forward` returns."""
         return ["boxes", "scores", "cc", *(["sizes"] if self.model.head.regression_head.values > 1 else [])]
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Picture (3, H, W) -> boxes (N, 4), scores (N,), c_c (N,), where there are any sizes (N, 2)."""
+        """Detect vehicles in a picture (3, H, W).
+
+        Returns:
+            boxes (N, 4) px, scores (N,), c_c (N,) and, where predicted, sizes (N, 2).
+        """
         model = self.model
         padded = nn.functional.pad((image - self.mean) / self.std, (0, self._padding[0], 0, self._padding[1]))
         outputs = model.head(list(model.backbone(padded[None]).values()))
@@ -84,22 +91,22 @@ class FixedSizeDetector(nn.Module):
             parts.append((clip_boxes_to_image(boxes, self._size_hw), scores, *values))
             start = stop
         boxes, scores, *rest = (torch.cat(part) for part in zip(*parts, strict=True))
-        # A weak box suppresses only weaker ones, so the score threshold may come after.
+        # A box suppresses only boxes of lower scores, so the threshold can be applied afterwards.
         keep = nms(boxes, scores, model.nms_thresh)
         keep = keep[scores[keep] > model.score_thresh][: model.detections_per_img]
         return boxes[keep], scores[keep], *(value[keep] for value in rest)
 
 
 def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> ModelMetadata:
-    """Write the detector as ONNX.
+    """Write a detector as ONNX.
 
     Args:
-        checkpoint: of a training.
+        checkpoint: written by training.
         out: file to write.
-        score: least score of a detection.
+        score: lowest score of a detection, in [0, 1].
 
     Returns:
-        what the detector is for.
+        the detector's metadata.
 
     Raises:
         LabelgenError: ONNX is not installed.
@@ -108,9 +115,9 @@ def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> ModelMeta
     """
     try:
         import onnx
-        import onnxscript  # noqa: F401  the exporter wants it
+        import onnxscript  # noqa: F401  torch's exporter needs it
     except ModuleNotFoundError as err:
-        raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
+        raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
     model, metadata = load_model(checkpoint, score_thresh=score)
     fold_batch_norm(model)
     wrapped = FixedSizeDetector(model, metadata.size_wh).eval()
@@ -130,11 +137,14 @@ def export_onnx(checkpoint: Path, out: Path, *, score: float = 0.3) -> ModelMeta
 
 @dataclass(frozen=True)
 class Parity:
-    """How an exported detector compares with its checkpoint.
+    """Largest differences between an exported detector and its checkpoint.
 
     Args:
-        boxes: compared.
-        px, score, cc, sizes: greatest differences.
+        boxes: number of boxes compared.
+        px: of box sides, px.
+        score: of scores.
+        cc: of c_c.
+        sizes: of the sizes' logarithms; 0 for models that predict none.
     """
 
     boxes: int
@@ -147,30 +157,33 @@ class Parity:
 def check_onnx(
     checkpoint: Path, exported: Path, images: Sequence[NDArray[np.float32]], *, score: float = 0.3
 ) -> Parity:
-    """Compare the exported detector, on onnxruntime, with its checkpoint on PyTorch.
+    """Compare an exported detector, on onnxruntime, with its checkpoint, on PyTorch.
 
     Args:
-        checkpoint, exported: the two files.
-        images: pictures (3, H, W) RGB in [0, 1].
-        score: least score, the same that it was exported with.
+        checkpoint: written by training.
+        exported: file of `export_onnx`.
+        images: rectified pictures (3, H, W) float32 RGB in [0, 1].
+        score: lowest score with which it was exported.
 
     Raises:
-        LabelgenError: onnxruntime is not installed, or the two find different numbers of vehicles.
+        LabelgenError: onnxruntime is not installed, or the two detect different numbers of vehicles.
     """
     try:
         import onnxruntime
     except ModuleNotFoundError as err:
-        raise LabelgenError(f"{err.name} is not installed; {_HINT}") from None
+        raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
     model, _ = load_model(checkpoint, score_thresh=score)
     session = onnxruntime.InferenceSession(exported.read_bytes(), providers=["CPUExecutionProvider"])
-    count, worst = 0, [0.0, 0.0, 0.0, 0.0]
+    count, largest = 0, [0.0, 0.0, 0.0, 0.0]
     for image in images:
         with torch.inference_mode():
-            (wanted,) = model([torch.from_numpy(image)])
-        found = session.run(None, {"image": image})
-        if len(found[0]) != len(wanted["boxes"]):
-            raise LabelgenError(f"{exported}: it finds {len(found[0])} boxes, the checkpoint {len(wanted['boxes'])}")
-        count += len(found[0])
-        for k, (key, value) in enumerate(zip(("boxes", "scores", "cc", "sizes"), found, strict=False)):
-            worst[k] = max(worst[k], float(np.abs(value - wanted[key].numpy()).max(initial=0.0)))
-    return Parity(count, *worst)
+            (expected,) = model([torch.from_numpy(image)])
+        outputs = session.run(None, {"image": image})
+        if len(outputs[0]) != len(expected["boxes"]):
+            raise LabelgenError(
+                f"{exported}: it detects {len(outputs[0])} boxes, the checkpoint {len(expected['boxes'])}"
+            )
+        count += len(outputs[0])
+        for k, (key, value) in enumerate(zip(("boxes", "scores", "cc", "sizes"), outputs, strict=False)):
+            largest[k] = max(largest[k], float(np.abs(value - expected[key].numpy()).max(initial=0.0)))
+    return Parity(count, *largest)

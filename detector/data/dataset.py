@@ -1,7 +1,7 @@
 """Shards -> augmented samples -> batches, in an order that depends on the seed and the step alone.
 
-Sample number k of a training is the same image with the same augmentation whatever happened before: on however many
-workers, and after however many interruptions.
+Sample number k of a training run is the same image with the same augmentation for any number of loader processes, and
+after any number of interruptions.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from detector.data.augment import AugmentationRanges, Target, clip_to_image, jitter_color, sample_affine
+from detector.data.augment import AugmentationRanges, TrainingTarget, clip_to_image, jitter_color, sample_affine
 from detector.model.vehicle_size import scene_vector, transform_scene
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
@@ -36,11 +36,13 @@ __all__ = [
     "collate",
     "label_provenance",
     "make_loader",
+    "open_shards",
     "open_sources",
     "to_tensors",
 ]  # fmt: skip
 
-CROPS = "boxcars"
+_CROPS_KIND = "boxcars"
+"""The `kind` in the settings of shards whose pictures are crops of single vehicles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +51,8 @@ class Batch:
 
     Args:
         images: (N, 3, H, W) uint8 RGB.
-        targets: per image `boxes` (L, 4) float32, `labels` (L,) int64 zeros, `cc` (L,) float32, `cc_known` (L,) bool,
-            `scene` (4,) float32, see `detector.model.vehicle_size.scene_vector`.
+        targets: per image `boxes` (L, 4) float32 px, `labels` (L,) int64 zeros, `cc` (L,) float32, `cc_known` (L,)
+            bool, `scene` (4,) float32, see `detector.model.vehicle_size.scene_vector`.
         indices: (N,) numbers of the samples.
     """
 
@@ -62,23 +64,23 @@ class Batch:
         return len(self.targets)
 
     def to(self, device: Any, non_blocking: bool = False) -> Batch:
-        """The batch on a device."""
-        move = [{key: value.to(device, non_blocking=non_blocking) for key, value in t.items()} for t in self.targets]
-        return Batch(self.images.to(device, non_blocking=non_blocking), move, self.indices)
+        """Return the batch on a device."""
+        targets = [{key: value.to(device, non_blocking=non_blocking) for key, value in t.items()} for t in self.targets]
+        return Batch(self.images.to(device, non_blocking=non_blocking), targets, self.indices)
 
     def pin_memory(self) -> Batch:
-        """For faster transfer to a GPU."""
+        """Return the batch in pinned memory, from which the transfer to a GPU is faster."""
         return Batch(self.images.pin_memory(), self.targets, self.indices)
 
 
 @dataclass(frozen=True, eq=False)
 class ShardSource:
-    """One set of shards that is drawn from with a weight.
+    """One set of shards and how often samples are drawn from it.
 
     Args:
         shards: the samples.
         weight: share of the drawn samples, relative to the other sources'.
-        crops: whether they are crops of single vehicles, to be put on black, rather than whole pictures.
+        crops: whether the pictures are crops of single vehicles, to be placed on black, rather than whole pictures.
     """
 
     shards: ShardDataset[Sample]
@@ -89,22 +91,25 @@ class ShardSource:
 def open_sources(
     paths: Sequence[str | Path], pair: Pair | None = None, size_wh: tuple[int, int] | None = None
 ) -> list[ShardSource]:
-    """Shard files and folders as sources; PATH:WEIGHT gives a weight, else it is the number of samples.
+    """Open shard files and folders for training.
 
     Args:
-        paths: shards, or folders of them.
-        pair: that all must have; whatever the first has by default.
-        size_wh: that whole pictures must have, likewise; crops may have any.
+        paths: shards or folders of them; PATH:WEIGHT gives a weight, which is the number of samples by default.
+        pair: that all must have; None for that of the first.
+        size_wh: width, height px that whole pictures must have; None for those of the first. Crops may have any size.
+
+    Returns:
+        one source per path that has samples.
 
     Raises:
-        DataError: none there, or of another pair or size than wanted.
+        DataError: no samples, or shards of another pair or size.
     """
     sources = []
     for text in map(str, paths):
         place, _, number = text.rpartition(":")
         weight = _weight(number) if place and not Path(text).exists() else None
         shards = ShardDataset([text if weight is None else place])
-        crops = [reader.settings.get("kind") == CROPS for reader in shards.readers]
+        crops = [reader.settings.get("kind") == _CROPS_KIND for reader in shards.readers]
         if len(set(crops)) > 1:
             raise DataError(f"{text}: it holds both crops and whole pictures; name their folders one by one")
         for reader in shards.readers:
@@ -124,6 +129,21 @@ def open_sources(
     return sources
 
 
+def open_shards(paths: Sequence[str | Path], pair: Pair, size_wh: tuple[int, int]) -> ShardDataset[Sample]:
+    """Open shard files and folders to run a detector on their pictures.
+
+    Args:
+        paths: shards or folders of them.
+        pair: that all must have.
+        size_wh: width, height px that whole pictures must have.
+
+    Raises:
+        DataError: no samples, or shards of another pair or size.
+    """
+    open_sources(paths, pair, size_wh)
+    return ShardDataset(paths)
+
+
 def _weight(text: str) -> float | None:
     try:
         value = float(text)
@@ -133,11 +153,16 @@ def _weight(text: str) -> float | None:
 
 
 def label_provenance(sources: Sequence[ShardSource]) -> list[dict[str, Any]]:
-    """What the labels are and where they come from, as plain values for a checkpoint."""
-    found = []
+    """Describe where labels come from, as plain values for a checkpoint.
+
+    Returns:
+        one dict per source, with its number of samples, weight, and the producers, settings and checksums of its
+        shards. Its keys are part of the checkpoint format.
+    """
+    provenance = []
     for source in sources:
         readers = source.shards.readers
-        found.append(
+        provenance.append(
             {
                 "samples": len(source.shards),
                 "weight": source.weight,
@@ -146,7 +171,7 @@ def label_provenance(sources: Sequence[ShardSource]) -> list[dict[str, Any]]:
                 "sha256": [str(reader.attributes["content_sha256"]) for reader in readers],
             }
         )
-    return found
+    return provenance
 
 
 def _plain(settings: dict[str, Any]) -> dict[str, Any]:
@@ -156,8 +181,17 @@ def _plain(settings: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def to_tensors(image: NDArray[np.uint8], target: Target, scene: Array) -> tuple[Tensor, dict[str, Tensor]]:
-    """Image (H, W, 3) BGR, labels and scene (4,) as a model's input and target."""
+def to_tensors(image: NDArray[np.uint8], target: TrainingTarget, scene: Array) -> tuple[Tensor, dict[str, Tensor]]:
+    """Convert a picture and what is learnt from it to tensors.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        target: boxes and c_c.
+        scene: (4,) of `detector.model.vehicle_size.scene_vector`.
+
+    Returns:
+        image (3, H, W) uint8 RGB, and one of the targets of a `Batch`.
+    """
     rgb = np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1))
     return torch.from_numpy(rgb), {
         "boxes": torch.from_numpy(target.boxes_xyxy.astype(np.float32)).reshape(-1, 4),
@@ -169,16 +203,17 @@ def to_tensors(image: NDArray[np.uint8], target: Target, scene: Array) -> tuple[
 
 
 class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
-    """The endless sequence of augmented samples of a training.
+    """The endless sequence of augmented samples of a training run.
 
-    In every pass over as many samples as the sources hold together, each source gets its share, each of its samples in
-    turn, in an order drawn for the pass.
+    A pass has as many samples as all sources together. In each pass a source gets its share, and goes through its
+    samples in turn, in an order drawn for the pass.
 
     Args:
-        sources: what to draw from.
-        size_wh: of the pictures.
-        whole, crops: augmentation of whole pictures and of crops.
-        seed: decides everything.
+        sources: shards with their weights.
+        size_wh: width, height px of the pictures.
+        whole: augmentation of whole pictures.
+        crops: augmentation of crops.
+        seed: of order and augmentation.
     """
 
     def __init__(
@@ -206,7 +241,7 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         self._plan = lru_cache(maxsize=2)(self._draw_plan)
 
     def _draw_plan(self, number: int) -> NDArray[np.int64]:
-        """(pass length, 2) source and sample of every place in a pass."""
+        """Draw the source and sample, (pass length, 2), of every position in a pass."""
         rows = []
         for s, (source, share) in enumerate(zip(self._sources, self._shares.tolist(), strict=True)):
             size = len(source.shards)
@@ -215,20 +250,20 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
                 int(turn): np.random.default_rng([self._seed, 1, s, int(turn)]).permutation(size)
                 for turn in np.unique(turns // size)
             }
-            chosen = [orders[t // size][t % size] for t in turns.tolist()]
-            rows.append(np.stack([np.full(share, s), np.array(chosen, dtype=np.int64)], axis=1))
+            indices = [orders[t // size][t % size] for t in turns.tolist()]
+            rows.append(np.stack([np.full(share, s), np.array(indices, dtype=np.int64)], axis=1))
         plan = np.concatenate(rows)
         return np.asarray(np.random.default_rng([self._seed, 2, number]).permutation(plan), dtype=np.int64)
 
-    def which(self, number: int) -> tuple[int, int]:
-        """Source and sample that number k is."""
+    def locate(self, number: int) -> tuple[int, int]:
+        """Return the source and its sample that a number of the sequence stands for."""
         source, index = self._plan(number // self._pass_length)[number % self._pass_length].tolist()
         return source, index
 
     def __getitem__(self, number: int) -> tuple[Tensor, dict[str, Tensor], int]:
-        s, index = self.which(number)
+        s, index = self.locate(number)
         source = self._sources[s]
-        # Not the whole sample: its rectification takes longer to set up than its picture to find.
+        # Not `ShardDataset[index]`: setting up its rectification takes longer than reading its picture.
         reader, row = source.shards.locate(index)
         image = _decode(reader.encoded(row), f"{reader.path}, sample {row}")
         rng = np.random.default_rng([self._seed, 3, number])
@@ -239,24 +274,35 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
 
     def augment(
         self, image: NDArray[np.uint8], labels: Labels, scene: Array, crops: bool, rng: np.random.Generator
-    ) -> tuple[NDArray[np.uint8], Target, Array]:
-        """A picture (H, W, 3) BGR, its labels and scene (4,) as they go into training."""
+    ) -> tuple[NDArray[np.uint8], TrainingTarget, Array]:
+        """Augment one picture with its labels.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+            labels: in the picture.
+            scene: (4,) of `detector.model.vehicle_size.scene_vector`.
+            crops: whether the picture is a crop of a single vehicle.
+            rng: random numbers.
+
+        Returns:
+            picture (H, W, 3) uint8 BGR of the training's size, what is learnt from it, and its scene (4,).
+        """
         ranges = self._crops if crops else self._whole
         move = sample_affine(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
-        target = Target.of(labels)
-        moved = clip_to_image(Target(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
-        out = move.image(image, self._size_wh)
+        target = TrainingTarget.from_labels(labels)
+        moved = clip_to_image(TrainingTarget(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
+        out = move.warp_image(image, self._size_wh)
         scene = transform_scene(scene, move.scale_xy[1], move.shift_xy[1])
         return jitter_color(rng, out, ranges.light) if ranges.light else out, moved, scene
 
 
 def _scenes(reader: ShardReader) -> Array:
-    """(N, 4) `scene_vector` of all samples of a shard: few kinds, and one takes a share of a small picture's time."""
+    """Compute `scene_vector` (N, 4) of all samples of a shard, once for those that share camera and rectification."""
     names = ("samples/matrix", "samples/vpu", "samples/camera")
     rows = np.concatenate([reader.table(name).reshape(len(reader), -1) for name in names], axis=1)
-    kinds, of = np.unique(rows, axis=0, return_inverse=True)
-    found = [scene_vector(k[:9].reshape(3, 3), k[9:11], reader.pair, reader.cameras[int(k[11])]) for k in kinds]
-    return np.array(found).reshape(-1, 4)[of.ravel()]
+    unique, inverse = np.unique(rows, axis=0, return_inverse=True)
+    scenes = [scene_vector(u[:9].reshape(3, 3), u[9:11], reader.pair, reader.cameras[int(u[11])]) for u in unique]
+    return np.array(scenes).reshape(-1, 4)[inverse.ravel()]
 
 
 def _decode(encoded: bytes, where: str) -> NDArray[np.uint8]:
@@ -267,7 +313,7 @@ def _decode(encoded: bytes, where: str) -> NDArray[np.uint8]:
 
 
 class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
-    """All samples of shards as they are, in order.
+    """All samples of shards in order, without augmentation.
 
     Args:
         shards: the samples.
@@ -283,11 +329,11 @@ class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         sample = self.shards[index]
         rectification = sample.rectification
         scene = scene_vector(rectification.matrix, rectification.vpu, rectification.pair, sample.camera)
-        return (*to_tensors(sample.image, Target.of(sample.labels), scene), index)
+        return (*to_tensors(sample.image, TrainingTarget.from_labels(sample.labels), scene), index)
 
 
 def collate(items: Sequence[tuple[Tensor, dict[str, Tensor], int]]) -> Batch:
-    """Samples of one size -> a batch."""
+    """Join samples of one size to a batch."""
     images, targets, indices = zip(*items, strict=True)
     return Batch(torch.stack(images), list(targets), list(indices))
 
@@ -297,48 +343,50 @@ class StepSampler(Sampler[list[int]]):
 
     Args:
         batch: samples per step and process.
-        steps: per epoch.
-        step_now: tells the number of steps done so far, in all epochs together.
-        place: tells the number of this process and how many there are; asked late, when launchers have settled it.
+        steps: steps per epoch.
+        current_step: returns the number of finished steps of all epochs together.
+        rank_and_world_size: returns the number of this process and the number of processes; called when iteration
+            starts, after the launcher has set them.
     """
 
     def __init__(
         self,
         batch: int,
         steps: int,
-        step_now: Callable[[], int],
-        place: Callable[[], tuple[int, int]] = lambda: (0, 1),
+        current_step: Callable[[], int],
+        rank_and_world_size: Callable[[], tuple[int, int]] = lambda: (0, 1),
     ) -> None:
-        self._batch, self._steps, self._step_now, self._place = batch, steps, step_now, place
+        self._batch, self._steps = batch, steps
+        self._current_step, self._rank_and_world_size = current_step, rank_and_world_size
 
     def __len__(self) -> int:
         return self._steps
 
     def __iter__(self) -> Iterator[list[int]]:
-        first, (rank, world) = self._step_now(), self._place()
-        # After a resumption in the middle of an epoch only the rest of it is left.
+        first, (rank, world_size) = self._current_step(), self._rank_and_world_size()
+        # Training that resumes in the middle of an epoch has only the rest of it left.
         for step in range(first, (first // self._steps + 1) * self._steps):
-            start = (step * world + rank) * self._batch
+            start = (step * world_size + rank) * self._batch
             yield list(range(start, start + self._batch))
 
 
 def make_loader(
     samples: Dataset[Any], *, batches: Sampler[list[int]] | None = None, batch: int = 8, workers: int = 0
 ) -> DataLoader[Batch]:
-    """A loader of batches: those of a sampler, or all samples in order.
+    """Make a loader of `Batch`es: those of a sampler, or all samples in order.
 
     Args:
         samples: the data set.
-        batches: numbers of the samples of each batch.
+        batches: numbers of the samples of each batch; None for all samples in order.
         batch: samples in a batch, without `batches`.
-        workers: processes; 0 for none beside this one. Any number gives the same batches.
+        workers: loader processes; 0 to load in this process. Any number gives the same batches.
     """
-    more: dict[str, Any] = {"batch_size": batch} if batches is None else {"batch_sampler": batches}
+    options: dict[str, Any] = {"batch_size": batch} if batches is None else {"batch_sampler": batches}
     if workers:
-        more |= {"persistent_workers": True, "prefetch_factor": 4, "multiprocessing_context": "fork"}
+        options |= {"persistent_workers": True, "prefetch_factor": 4, "multiprocessing_context": "fork"}
     return DataLoader(
         samples, num_workers=workers, collate_fn=collate, pin_memory=torch.cuda.is_available(),
-        worker_init_fn=_one_thread, **more,
+        worker_init_fn=_one_thread, **options,
     )  # fmt: skip
 
 

@@ -1,14 +1,16 @@
 """torchvision's RetinaNet with a second regression output: c_c, one value per anchor.
 
+The loss of a batch with N positive anchors (at least 1) is
+
     L = (L_conf + L_loc + w L_c + w L_s) / N
 
-over a batch, N being its number of positive anchors (at least 1): focal loss (alpha 0.25, gamma 2) over all anchors
-that are positive or negative, smooth L1 (published: beta 1/9) over the positive ones for the box and for c_c. L_s is
-the same for the vehicle's height and length, in models that say them; the published ones do not. A label whose c_c is
-not known (`cc_known` False) is left out of L_c and L_s.
+L_conf is the focal loss (alpha 0.25, gamma 2) over all positive and negative anchors. L_loc and L_c are the smooth L1
+losses (published: beta 1/9) of the box and of c_c over the positive anchors. L_s is the same for the vehicle's height
+and length, in models that predict them; the published ones do not. A label whose c_c is not known (`cc_known` False)
+is left out of L_c and L_s.
 
 Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized. Anchors,
-boxes, scores and values are float32 in any precision of the network: bfloat16 knows only every other px beyond 256.
+boxes, scores and values are float32 in any precision of the network: bfloat16 resolves only every other px beyond 256.
 
 Source: Lin et al. 2017 (RetinaNet); Kocur & Ftacnik 2020, section 3.4 (c_c and the loss).
 """
@@ -37,22 +39,23 @@ __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Everything that decides the shape of a model; plain numbers and text, so a checkpoint can carry it.
+    """Shape and loss of a model, as plain numbers and text. Field names are part of the checkpoint format.
 
     Args:
-        backbone: torchvision network.
-        levels: pyramid levels, 3 for stride 8.
-        channels: of the pyramid and the heads.
-        head_convs: convolutions in each head's tower, 1 to 4.
-        head_norm, trunk_norm: "none", "batch", "frozen" or "group"; see `detector.model.backbone.NORMS`.
+        backbone: name of the torchvision network.
+        levels: pyramid levels; level k has stride 2^k px.
+        channels: number of channels of the pyramid and the heads.
+        head_convs: number of convolutions in each head's tower, 1 to 4.
+        head_norm: normalisation in the towers: a key of `detector.model.backbone.NORMS`.
+        trunk_norm: normalisation in the trunk, "batch" or "frozen".
         anchor_sizes: per level, sides px of square anchors.
         anchor_ratios: heights over widths of the anchors, the same on every level.
-        cc_weight: weight of the c_c term; 0 for the 2D variants.
-        beta: of the smooth L1 terms: errors below it count with their square.
-        size_weight: of the c_c that follows from the vehicle's sizes, see `detector.model.vehicle_size`; 0: the model
-            has no output for them.
-        low_quality_matches: whether a label without an anchor of IoU 0.5 gets its best one nevertheless, as
-            torchvision does it; the paper does not say so.
+        cc_weight: weight w of the c_c term; 0 for the 2D variants.
+        beta: error at which the smooth L1 terms turn from quadratic to linear: in box deltas, c_c, logarithms of sizes.
+        size_weight: weight in [0, 1] of the c_c that follows from the predicted sizes, see
+            `detector.model.vehicle_size`; 0 for a model that predicts no sizes.
+        low_quality_matches: whether a label without an anchor of IoU 0.5 is assigned its best one, as in torchvision;
+            the paper does not do so.
     """
 
     backbone: str = "resnet50"
@@ -72,21 +75,21 @@ class ModelConfig:
 
 
 class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
-    """torchvision's box head, with c_c, and the vehicle's sizes, read off the same tower by one more convolution."""
+    """torchvision's box head with one more convolution on the same tower: for c_c and the vehicle's sizes."""
 
     def __init__(self, in_channels: int, num_anchors: int, norm_layer: Any, with_sizes: bool) -> None:
         super().__init__(in_channels, num_anchors, norm_layer=norm_layer)
         self.values = 3 if with_sizes else 1
         self.cc = nn.Conv2d(in_channels, num_anchors * self.values, kernel_size=3, padding=1)
         nn.init.normal_(self.cc.weight, std=0.01)
-        # c_c lies in [0, 1], the logarithms of a car's sizes over typical ones around 0: begin in the middle.
+        # c_c is in [0, 1], the logarithms of sizes over typical ones are around 0: start in the middle.
         assert self.cc.bias is not None
         with torch.no_grad():
             self.cc.bias.view(num_anchors, self.values).copy_(torch.tensor([0.5, 0.0, 0.0][: self.values]))
 
     def forward(self, x: list[Tensor]) -> Any:
-        """Per level features -> boxes (N, A, 4) and values (N, A, 1 or 3), in torchvision's order of anchors."""
-        # One convolution for both: c_c's few channels alone would cost as much as a block of sixteen.
+        """Map features per level to boxes (N, A, 4) and values (N, A, 1 or 3), in torchvision's order of anchors."""
+        # One convolution for both: a separate one with c_c's few channels would cost as much as one with sixteen.
         assert self.cc.bias is not None
         weight = torch.cat([self.bbox_reg.weight, self.cc.weight])
         bias = torch.cat([self.bbox_reg.bias, self.cc.bias])
@@ -104,14 +107,16 @@ class _CcRegressionHead(RetinaNetRegressionHead):  # type: ignore[misc]
 
 
 class CcHead(RetinaNetHead):  # type: ignore[misc]
-    """torchvision's RetinaNet head with c_c, lighter where wanted.
+    """torchvision's RetinaNet head of one class, with outputs for c_c and sizes, and towers of any length.
 
     Args:
-        in_channels, num_anchors, norm_layer: as torchvision's.
-        convs: convolutions in each tower, 1 to 4.
+        in_channels: channels of the features.
+        num_anchors: anchors per cell.
+        norm_layer: makes a normalisation for a number of channels; None for none.
+        convs: number of convolutions in each tower, 1 to 4.
         cc_weight: weight of the terms of c_c and sizes.
-        beta: of the smooth L1 terms.
-        with_sizes: whether there is an output for height and length.
+        beta: of the smooth L1 terms, see `ModelConfig`.
+        with_sizes: whether there is an output for the vehicle's height and length.
     """
 
     def __init__(
@@ -125,19 +130,26 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         self.cc_weight, self.beta = cc_weight, beta
 
     def forward(self, x: list[Tensor]) -> dict[str, Tensor]:
-        """Outputs of all anchors; `sizes` (N, A, 2) only where there is such an output."""
+        """Compute the outputs of all A anchors from features (N, C, h, w) per level.
+
+        Returns:
+            `cls_logits` (N, A, 1), `bbox_regression` (N, A, 4), `cc` (N, A) and, with sizes, `sizes` (N, A, 2).
+        """
         boxes, values = self.regression_head(x)
         sizes = {"sizes": values[..., 1:]} if self.regression_head.values > 1 else {}
         return {"cls_logits": self.classification_head(x), "bbox_regression": boxes, "cc": values[..., 0], **sizes}
 
     def compute_loss(self, targets: Any, head_outputs: Any, anchors: Any, matched_idxs: Any) -> dict[str, Tensor]:
-        """The terms, each divided by the batch's number of positive anchors.
+        """Compute the terms of the loss, each divided by the batch's number of positive anchors.
 
         Args:
-            targets: per image `boxes` (L, 4), `cc` (L,), `cc_known` (L,) bool; for sizes `scene` (4,) as well.
+            targets: per image `boxes` (L, 4) px, `cc` (L,), `cc_known` (L,) bool; for sizes `scene` (4,) as well.
             head_outputs: of `forward`.
-            anchors: per image (A, 4).
-            matched_idxs: per image (A,) number of the label, -1 negative, -2 neither.
+            anchors: per image (A, 4) px.
+            matched_idxs: per image (A,) index of the label, -1 for negative anchors, -2 for those not counted.
+
+        Returns:
+            `conf`, `loc`, `cc` and, with sizes, `sizes`: scalars.
         """
         matched = torch.stack(list(matched_idxs))
         positive, counted = matched >= 0, matched != Matcher.BETWEEN_THRESHOLDS
@@ -146,46 +158,47 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         conf = sigmoid_focal_loss(logits[counted], positive[counted].to(logits.dtype), reduction="sum")
 
         coder = self.regression_head.box_coder
-        chosen = [index[index >= 0] for index in matched_idxs]
-        wanted = torch.cat(
+        label_indices = [index[index >= 0] for index in matched_idxs]
+        deltas = torch.cat(
             [
                 coder.encode_single(t["boxes"][index], a[mask])
-                for t, index, a, mask in zip(targets, chosen, anchors, positive, strict=True)
+                for t, index, a, mask in zip(targets, label_indices, anchors, positive, strict=True)
             ]
         )
-        loc = F.smooth_l1_loss(head_outputs["bbox_regression"][positive], wanted, beta=self.beta, reduction="sum")
+        loc = F.smooth_l1_loss(head_outputs["bbox_regression"][positive], deltas, beta=self.beta, reduction="sum")
 
-        shares = torch.cat([t["cc"][index] for t, index in zip(targets, chosen, strict=True)])
-        known = torch.cat([t["cc_known"][index] for t, index in zip(targets, chosen, strict=True)])
-        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], shares[known], beta=self.beta, reduction="sum")
+        true_cc = torch.cat([t["cc"][index] for t, index in zip(targets, label_indices, strict=True)])
+        known = torch.cat([t["cc_known"][index] for t, index in zip(targets, label_indices, strict=True)])
+        cc = F.smooth_l1_loss(head_outputs["cc"][positive][known], true_cc[known], beta=self.beta, reduction="sum")
         terms = {"conf": conf / count, "loc": loc / count, "cc": self.cc_weight * cc / count}
         if "sizes" in head_outputs:
-            sizes = torch.cat([_sizes(t)[index] for t, index in zip(targets, chosen, strict=True)])
-            known = known & sizes.isfinite().all(dim=1)
-            found = head_outputs["sizes"][positive][known]
+            true_sizes = torch.cat([_true_sizes(t)[index] for t, index in zip(targets, label_indices, strict=True)])
+            known = known & true_sizes.isfinite().all(dim=1)
+            sizes = head_outputs["sizes"][positive][known]
             terms["sizes"] = (
-                self.cc_weight * F.smooth_l1_loss(found, sizes[known], beta=self.beta, reduction="sum") / count
+                self.cc_weight * F.smooth_l1_loss(sizes, true_sizes[known], beta=self.beta, reduction="sum") / count
             )
         return terms
 
 
-def _sizes(target: dict[str, Tensor]) -> Tensor:
-    """(L, 2) what the model should say of the labels' sizes; NaN for a camera of unknown height."""
+def _true_sizes(target: dict[str, Tensor]) -> Tensor:
+    """Return what the model should predict of the labels' sizes, (L, 2); NaN for a camera of unknown height."""
     if target["scene"][1] == 0:
         return torch.full((len(target["cc"]), 2), torch.nan, device=target["cc"].device)
     return sizes_from_cc(target["cc"], target["boxes"], target["scene"])
 
 
 class CcRetinaNet(RetinaNet):  # type: ignore[misc]
-    """RetinaNet of one class with c_c. In training a dict of losses, else per image `boxes`, `scores`, `labels`, `cc`.
+    """RetinaNet of one class with c_c.
 
-    Models with an output for the vehicle's sizes give `sizes` (N, 2) as well; `detector.model.vehicle_size` merges it
-    with c_c.
+    In training it returns the losses of `CcHead.compute_loss`. In evaluation it returns, per image, `boxes` (N, 4) px,
+    `scores` (N,), `labels` (N,) zeros, `cc` (N,) in [0, 1] and, of models that predict them, `sizes` (N, 2), which
+    `detector.model.vehicle_size.merge_sizes` combines with c_c.
 
     Args:
         backbone: trunk with pyramid, see `detector.model.backbone.build_backbone`.
-        anchor_generator: torchvision's.
-        head: a `CcHead`.
+        anchor_generator: of anchors in px.
+        head: outputs and loss.
         options: of torchvision's RetinaNet: thresholds, numbers of detections, matcher.
     """
 
@@ -196,43 +209,46 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
         self.transform = IdentityTransform()
 
     def postprocess_detections(self, head_outputs: Any, anchors: Any, image_shapes: Any) -> list[dict[str, Tensor]]:
-        """As torchvision's, with c_c, clamped to [0, 1], and the sizes going the same way as their box.
+        """Select the best detections of each image, as torchvision does; c_c, clamped to [0, 1], and sizes follow.
 
-        All images and levels of a batch go through each step at once: on a GPU a step costs its launch, however small.
+        All images and levels of a batch go through each step at once: on a GPU a small step costs as much as a large
+        one.
         """
-        # One by one, for a processor's last bit of a sigmoid depends on how many there are.
+        # One image at a time: on a CPU the last bit of a sigmoid depends on how many are computed at once.
         logits = [level.squeeze(-1).float() for level in head_outputs["cls_logits"]]
         scores = torch.stack([torch.cat([torch.sigmoid(level[i]) for level in logits]) for i in range(len(logits[0]))])
-        together = {name: torch.cat(list(parts), dim=1) for name, parts in head_outputs.items() if name != "cls_logits"}
+        outputs = {name: torch.cat(list(parts), dim=1) for name, parts in head_outputs.items() if name != "cls_logits"}
         # Images of one batch are padded to one size, so they share their anchors.
         levels = [len(a) for a in anchors[0]]
         image, anchor = self._candidates(scores, levels)
         counts = torch.bincount(image, minlength=len(image_shapes)).tolist()
         best = scores[image, anchor]
         boxes = self.box_coder.decode_single(
-            together["bbox_regression"][image, anchor].float(), torch.cat(list(anchors[0]))[anchor]
+            outputs["bbox_regression"][image, anchor].float(), torch.cat(list(anchors[0]))[anchor]
         )
         border = torch.tensor([(w, h, w, h) for h, w in image_shapes], dtype=boxes.dtype, device=boxes.device)
         values = {"boxes": torch.minimum(boxes.clamp(min=0), border[image]), "scores": best}
         values["labels"] = torch.zeros_like(anchor)
-        values["cc"] = together["cc"][image, anchor].float().clamp(0, 1)
-        if "sizes" in together:
-            values["sizes"] = together["sizes"][image, anchor].float()
-        found = []
+        values["cc"] = outputs["cc"][image, anchor].float().clamp(0, 1)
+        if "sizes" in outputs:
+            values["sizes"] = outputs["sizes"][image, anchor].float()
+        detections = []
         for parts in zip(*(torch.split(value, counts) for value in values.values()), strict=True):
-            own = dict(zip(values, parts, strict=True))
-            keep = batched_nms(own["boxes"], own["scores"], own["labels"], self.nms_thresh)[: self.detections_per_img]
-            found.append({name: value[keep] for name, value in own.items()})
-        return found
+            candidates = dict(zip(values, parts, strict=True))
+            keep = batched_nms(candidates["boxes"], candidates["scores"], candidates["labels"], self.nms_thresh)
+            keep = keep[: self.detections_per_img]
+            detections.append({name: value[keep] for name, value in candidates.items()})
+        return detections
 
     def _candidates(self, scores: Tensor, levels: Sequence[int]) -> tuple[Tensor, Tensor]:
-        """Image and anchor (K,) of what is above the score threshold, at most `topk_candidates` of an image's level.
-
-        In order of image and level, the best first.
+        """Select anchors above the score threshold, at most `topk_candidates` per image and level.
 
         Args:
             scores: (N, A).
-            levels: numbers of anchors, which sum to A.
+            levels: numbers of anchors per level, which sum to A.
+
+        Returns:
+            indices of image and anchor, each (K,), in the order of image, level and descending score.
         """
         image, anchor = torch.where(scores > self.score_thresh)
         ends = torch.tensor(levels, device=scores.device).cumsum(0)
@@ -245,20 +261,20 @@ class CcRetinaNet(RetinaNet):  # type: ignore[misc]
             for start, count in zip(starts, counts, strict=False)
             if count
         ]
-        kept = torch.cat(order) if order else torch.empty_like(anchor)
-        return image[kept], anchor[kept]
+        selected = torch.cat(order) if order else torch.empty_like(anchor)
+        return image[selected], anchor[selected]
 
 
 def build_model(config: ModelConfig, *, weights: str = "none", **options: Any) -> CcRetinaNet:
-    """A model of this configuration.
+    """Build a model.
 
     Args:
-        config: its shape.
+        config: its shape and loss.
         weights: of the trunk, "imagenet" or "none".
         options: further ones of torchvision's RetinaNet, for instance `score_thresh`.
 
     Raises:
-        LabelgenError: the backbone or its weights are not to be had.
+        LabelgenError: the backbone or its weights are not available.
     """
     backbone = build_backbone(config.backbone, config.levels, config.channels, weights=weights, norm=config.trunk_norm)
     sizes: Sequence[Sequence[float]] = config.anchor_sizes

@@ -1,4 +1,4 @@
-"""Named settings for training: the published ones, and a small one for two CPU cores."""
+"""Settings for training: named presets (the published ones, and a small one for two CPU cores) and the machine."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from detector.model.retinanet import ModelConfig
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair
 
-__all__ = ["PRESETS", "Preset", "Trainer", "find_preset"]
+__all__ = ["PRESETS", "MachineConfig", "Preset", "find_preset"]
 
-
-PAPER_WHOLE = AugmentationRanges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
-PAPER_CROPS = AugmentationRanges(translation=0.5, scale=(0.03, 1.0), flip=0.5)
+_PAPER_WHOLE = AugmentationRanges(translation=0.4, scale=(0.9, 2.0), flip=0.5)
+_PAPER_CROPS = AugmentationRanges(translation=0.5, scale=(0.03, 1.0), flip=0.5)
+"""Augmentation of whole pictures and of crops in Kocur & Ftacnik 2020, section 3.4."""
 
 
 @dataclass(frozen=True)
@@ -24,23 +24,28 @@ class Preset:
     """How a detector is built and trained.
 
     Args:
-        name: as the command line has it.
-        pair: vanishing points of the shards it is for; None for any.
-        size_wh: px of their pictures; None for any.
-        model: shape of the network; its anchors are fitted to the shards where `fit_anchors` says so.
-        fit_anchors: sizes per level and ratios to fit to the labels; None keeps the model's own anchors.
-        weights: of the trunk.
+        name: of the preset.
+        pair: vanishing points made axis-parallel in the shards; None for any.
+        size_wh: width, height px of the shards' pictures; None for any.
+        model: shape and loss of the network; `fit_anchors` may replace its anchors.
+        fit_anchors: number of sizes per level and of ratios to fit to the labels; None keeps the model's anchors.
+        weights: of the trunk at the start, "imagenet" or "none" for random ones.
         batch: samples per step and process.
-        epochs, steps_per_epoch: length; 0 steps for one pass over the shards.
+        epochs: number of epochs.
+        steps_per_epoch: steps in an epoch; 0 for one pass over the shards.
         optimiser: "adam" or "adamw".
-        lr: learning rate, the highest there is.
-        weight_decay: of "adamw".
-        clip_norm: greatest norm of the gradient.
-        schedule: "plateau": times 0.2 after 3 epochs without progress; "cosine": warm-up, then down to 0.
-        warmup_steps: of "cosine".
+        lr: highest learning rate.
+        weight_decay: of "adamw", per step and unit of learning rate.
+        clip_norm: largest norm of the gradient; a larger one is scaled down to it.
+        schedule: of the learning rate. "plateau": times 0.2 after more than 3 epochs without progress; "cosine":
+            linear warm-up, then down to 0 along a cosine.
+        warmup_steps: steps of the warm-up of "cosine", at most half of all steps.
         patience: epochs without progress on the validation shards after which training stops; 0 for never.
         half: train in mixed precision (bfloat16) where the device gains from it.
-        whole, crops: augmentation of whole pictures and of BoxCars crops.
+        whole: augmentation of whole pictures.
+        crops: augmentation of BoxCars116k's crops.
+
+    Source: the defaults are those of Kocur & Ftacnik 2020, section 3.4.
     """
 
     name: str
@@ -60,24 +65,24 @@ class Preset:
     warmup_steps: int = 0
     patience: int = 0
     half: bool = False
-    whole: AugmentationRanges = PAPER_WHOLE
-    crops: AugmentationRanges = PAPER_CROPS
+    whole: AugmentationRanges = _PAPER_WHOLE
+    crops: AugmentationRanges = _PAPER_CROPS
 
 
 def _presets() -> dict[str, Preset]:
-    found = [
+    presets = [
         Preset(f"paper-{w}x{h}", pair, (w, h), batch=8 if 960 in (w, h) else 16)
         for a, b in ((480, 270), (640, 360), (960, 540))
         for pair, w, h in ((Pair.VP2_VP3, a, b), (Pair.VP1_VP2, b, a))
     ]
     flat = ModelConfig(cc_weight=0.0)
-    found += [Preset("transform2d", None, None, flat), Preset("orig2d", None, None, flat)]
+    presets += [Preset("transform2d", None, None, flat), Preset("orig2d", None, None, flat)]
     small = ModelConfig(
         backbone="resnet18", levels=(3, 4, 5), channels=64, head_convs=2, head_norm="group",
         anchor_sizes=((16.0, 24.0), (32.0, 48.0), (64.0, 96.0)),
         cc_weight=3.0, beta=0.02, size_weight=1.0, low_quality_matches=True,
     )  # fmt: skip
-    found.append(
+    presets.append(
         Preset(
             "small", None, None, small, fit_anchors=(2, 3), weights="none", batch=8, epochs=12, steps_per_epoch=0,
             optimiser="adamw", lr=2e-3, weight_decay=0.01, clip_norm=5.0, schedule="cosine", warmup_steps=100,
@@ -86,33 +91,42 @@ def _presets() -> dict[str, Preset]:
             crops=AugmentationRanges(translation=0.4, scale=(0.08, 0.8), aspect=1.2, flip=0.5, light=0.25),
         )
     )  # fmt: skip
-    return {preset.name: preset for preset in found}
+    return {preset.name: preset for preset in presets}
 
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(_presets())
+"""All presets by name."""
 
 
 def find_preset(name: str, **changes: object) -> Preset:
-    """A preset by its name, with changes (None: as it is).
+    """Return a preset, with changes.
+
+    Args:
+        name: of the preset.
+        changes: new values of its fields; None leaves a field as it is.
 
     Raises:
-        LabelgenError: names the known ones.
+        LabelgenError: no such preset; the message lists all.
     """
     if name not in PRESETS:
-        raise LabelgenError(f"--preset {name}: unknown preset; use one of {', '.join(PRESETS)}")
+        raise LabelgenError(f"preset {name}: unknown; use one of {', '.join(PRESETS)}", parameter="preset")
     return replace(PRESETS[name], **{key: value for key, value in changes.items() if value is not None})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
-class Trainer:
-    """What Lightning needs to know of the machine.
+class MachineConfig:
+    """Where and how training runs.
 
     Args:
-        accelerator, devices, num_nodes, strategy, precision: as of Lightning's own Trainer; no precision for the
-            preset's choice.
-        workers: loader processes; 0 for none beside the training itself.
-        checkpoint_every: steps between checkpoints within an epoch; 0 for the ends of epochs alone.
-        progress: whether to show a bar.
+        accelerator: Lightning's name of the kind of device: "auto", "cpu", "gpu".
+        devices: number of devices per machine, or "auto".
+        num_nodes: number of machines.
+        strategy: Lightning's name of how processes work together: "auto", "ddp", ...
+        precision: Lightning's name of the precision, for instance "bf16-mixed"; None for the preset's choice.
+        workers: loader processes; 0 to load in the training process.
+        checkpoint_every: steps between checkpoints within an epoch; 0 for checkpoints at the ends of epochs alone.
+            Fewer steps lose less work in an interruption and cost more writing.
+        progress: whether to show a progress bar.
     """
 
     accelerator: str = "auto"

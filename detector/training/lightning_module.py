@@ -1,4 +1,4 @@
-"""The detector as Lightning sees it: steps, optimiser, schedule, validation, and the metadata in its checkpoints."""
+"""Lightning's module of the detector: training step, optimiser, schedule, validation, metadata in checkpoints."""
 
 from __future__ import annotations
 
@@ -21,23 +21,20 @@ from labelgen.labels import Labels, Sample
 __all__ = ["VALIDATION_SCORE", "DetectorModule"]
 
 VALIDATION_SCORE = "val/ap50"
+"""Name of the logged figure that selects the best checkpoint."""
 _PLATEAU_FACTOR, _PLATEAU_PATIENCE = 0.2, 3
-
-
-def as_input(batch: Batch) -> Tensor:
-    """Images as the model takes them: (N, 3, H, W) float in [0, 1]."""
-    return batch.images.float() / 255
+"""Factor on the learning rate, and epochs without progress before it: Kocur & Ftacnik 2020, section 3.4."""
 
 
 class DetectorModule(LightningModule):
-    """Trains a detector.
+    """Train a detector.
 
     Args:
         model: the network.
         preset: optimiser and schedule.
-        metadata: goes into every checkpoint.
-        total_steps: of the whole training, for the cosine schedule.
-        validation: what the validation loader's numbers refer to; None without validation.
+        metadata: is written into every checkpoint.
+        total_steps: number of steps of all epochs, for the cosine schedule.
+        validation: samples that the validation loader draws from; None without validation.
     """
 
     def __init__(
@@ -55,8 +52,8 @@ class DetectorModule(LightningModule):
         self._detections: dict[int, Labels] = {}
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Loss of a batch."""
-        losses = self.model(list(as_input(batch)), batch.targets)
+        """Return the loss of a batch, and log its terms."""
+        losses = self.model(_images(batch), batch.targets)
         total: Tensor = torch.stack(list(losses.values())).sum()
         self.log("train/loss", total, on_step=True, on_epoch=True, prog_bar=True, batch_size=len(batch))
         for name, value in losses.items():
@@ -64,22 +61,22 @@ class DetectorModule(LightningModule):
         return total
 
     def on_validation_epoch_start(self) -> None:
-        """Forget the last epoch's detections."""
+        """Drop the detections of the last epoch."""
         self._detections = {}
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        """Detections of a batch."""
-        outputs = self.model(list(as_input(batch)))
+        """Detect vehicles in a batch."""
+        outputs = self.model(_images(batch))
         for index, output, target in zip(batch.indices, outputs, batch.targets, strict=True):
             self._detections[index] = labels_from_output(output, target["scene"], self._metadata)
 
     def validation_pairs(self) -> list[tuple[Sample, Labels]]:
-        """The validation samples seen last, with their detections."""
+        """Return the samples of the last validation with their detections."""
         assert self._validation is not None
         return [(self._validation.shards[index], self._detections[index]) for index in sorted(self._detections)]
 
     def on_validation_epoch_end(self) -> None:
-        """Average precision and errors over the epoch's detections."""
+        """Evaluate the epoch's detections, and log average precision and errors."""
         result = evaluate_detections(self.validation_pairs(), min_height_px=self._metadata.min_height_px)
         figures = {
             VALIDATION_SCORE: result["ap50"],
@@ -89,44 +86,50 @@ class DetectorModule(LightningModule):
             "val/ground_px": result["ground_px"]["median"],
         }
         for name, value in figures.items():
-            # Before it has learnt anything there is nothing to measure c_c on.
+            # Without matched detections there is no error of c_c.
             number = math.nan if value is None else value
             self.log(name, torch.tensor(number, dtype=torch.float32, device=self.device), prog_bar=True, sync_dist=True)
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
-        """As the preset says."""
+        """Return optimiser and schedule of the preset."""
         preset = self._preset
         if preset.optimiser == "adamw":
             optimiser: torch.optim.Optimizer = torch.optim.AdamW(
-                self._groups(preset.weight_decay), lr=preset.lr, weight_decay=preset.weight_decay
+                self._parameter_groups(preset.weight_decay), lr=preset.lr, weight_decay=preset.weight_decay
             )
         else:
             optimiser = torch.optim.Adam(self.parameters(), lr=preset.lr)
         if preset.schedule == "cosine":
-            schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, self._share_of_lr)
+            schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, self._cosine_factor)
             return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
-        judged = self._validation is not None
+        has_validation = self._validation is not None
         plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
-            optimiser, mode="max" if judged else "min", factor=_PLATEAU_FACTOR, patience=_PLATEAU_PATIENCE
+            optimiser, mode="max" if has_validation else "min", factor=_PLATEAU_FACTOR, patience=_PLATEAU_PATIENCE
         )
-        monitor = VALIDATION_SCORE if judged else "train/loss_epoch"
+        monitor = VALIDATION_SCORE if has_validation else "train/loss_epoch"
         return {"optimizer": optimiser, "lr_scheduler": {"scheduler": plateau, "interval": "epoch", "monitor": monitor}}
 
-    def _groups(self, decay: float) -> list[dict[str, Any]]:
-        """Weights decay; biases and normalisation do not."""
-        parts = [p for p in self.parameters() if p.requires_grad]
+    def _parameter_groups(self, decay: float) -> list[dict[str, Any]]:
+        """Split the parameters: weights decay, biases and normalisations do not."""
+        parameters = [p for p in self.parameters() if p.requires_grad]
         return [
-            {"params": [p for p in parts if p.dim() > 1], "weight_decay": decay},
-            {"params": [p for p in parts if p.dim() <= 1], "weight_decay": 0.0},
+            {"params": [p for p in parameters if p.dim() > 1], "weight_decay": decay},
+            {"params": [p for p in parameters if p.dim() <= 1], "weight_decay": 0.0},
         ]
 
-    def _share_of_lr(self, step: int) -> float:
+    def _cosine_factor(self, step: int) -> float:
+        """Return the factor on the learning rate in a step: linear warm-up, then a cosine down to 0."""
         warmup = min(self._preset.warmup_steps, self._total_steps // 2)
         if step < warmup:
             return (step + 1) / warmup
-        done = (step - warmup) / max(1, self._total_steps - warmup)
-        return 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+        progress = (step - warmup) / max(1, self._total_steps - warmup)
+        return 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Put the metadata in."""
+        """Add the metadata to a checkpoint."""
         checkpoint[METADATA_KEY] = self._metadata.to_dict()
+
+
+def _images(batch: Batch) -> list[Tensor]:
+    """Return the images of a batch as the model takes them: (3, H, W) float32 in [0, 1]."""
+    return list(batch.images.float() / 255)

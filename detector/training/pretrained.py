@@ -1,7 +1,7 @@
-"""What a training begins with: a detector of the same shape, torchvision's RetinaNet, or a trunk alone.
+"""Weights to start training from: a detector of the same shape, torchvision's RetinaNet, or a trunk alone.
 
-The files of torchvision's pretrained networks are state dicts; where a network cannot be downloaded, its file may be
-brought along.
+The files of torchvision's pretrained networks are state dicts. On a machine without network access, such a file can be
+given instead of a download.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from labelgen.errors import DataError
 
 __all__ = ["load_pretrained"]
 
-# Counted in training, of no use for anything, and not in the files of frozen normalisations.
-_COUNTER = "num_batches_tracked"
+_BATCH_COUNTER = "num_batches_tracked"
+"""Buffer of batch normalisations that changes nothing, and that files of frozen normalisations lack."""
 
 
 def load_pretrained(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> str:
-    """Put weights into a model, as much of them as fits.
+    """Load into a model those weights of a file that fit.
 
     Args:
-        model: to be trained.
-        data: a checkpoint with a "state_dict", or a bare state dict: of a detector of the same shape (all of it is
-            taken), of torchvision's RetinaNet with the same trunk (that, and what else has the same shape), or of the
-            trunk as torchvision has it for classification.
-        where: they come from, for messages.
+        model: is changed.
+        data: a checkpoint with a "state_dict", or a bare state dict. It is of a detector of the same shape (all
+            weights are loaded), of torchvision's RetinaNet with the same trunk (the trunk is loaded, and all else of
+            the same shape), or of the trunk as a classification network of torchvision.
+        where: the weights come from, for messages.
 
     Returns:
-        what was taken: "detector", "torchvision RetinaNet" or "trunk".
+        what the weights are of: "detector", "torchvision RetinaNet" or "trunk".
 
     Raises:
-        DataError: they fit in none of these ways.
+        DataError: they are of none of these.
     """
     state = {
         str(key).removeprefix(WEIGHTS_PREFIX): value
@@ -47,9 +47,9 @@ def load_pretrained(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> 
         model.load_state_dict({key: state.get(key, own[key]) for key in own})
         return "detector"
     body = "backbone.body."
-    whole = any(key.startswith(body) for key in state)
-    # A trunk that is the first part of a network is named for it there.
-    trunk = {key.removeprefix(body if whole else "features."): value for key, value in state.items()}
+    is_retinanet = any(key.startswith(body) for key in state)
+    # In some classification networks the trunk is the part called "features".
+    trunk = {key.removeprefix(body if is_retinanet else "features."): value for key, value in state.items()}
     misfits = _misfits(model.backbone.body.state_dict(), trunk)
     if misfits:
         shown = ", ".join(misfits[:3]) + (f" and {len(misfits) - 3} more" if len(misfits) > 3 else "")
@@ -57,23 +57,23 @@ def load_pretrained(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> 
             f"{where}: its weights are of another network ({shown} differ); give a checkpoint of this preset and "
             "backbone, or torchvision's file of RetinaNet or of the backbone"
         )
-    if whole:
-        _take(model, state)
+    if is_retinanet:
+        _load_fitting(model, state)
         return "torchvision RetinaNet"
-    _take(model.backbone.body, trunk)
+    _load_fitting(model.backbone.body, trunk)
     return "trunk"
 
 
 def _misfits(own: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> list[str]:
-    """Names of own weights that are not given, or in another shape, and of given ones that the own parts lack."""
+    """List own weights that are not given, or have another shape, and given ones that the same modules lack."""
     parts = {key.partition(".")[0] for key in own}
     missing = [key for key, value in own.items() if key not in given or given[key].shape != value.shape]
-    # A deeper network of the same kind has all of a shallower one's, and more.
+    # A deeper network of the same kind has all weights of a shallower one, and more.
     unknown = [key for key in given if key.partition(".")[0] in parts and key not in own]
-    return [key for key in missing + unknown if not key.endswith(_COUNTER)]
+    return [key for key in missing + unknown if not key.endswith(_BATCH_COUNTER)]
 
 
-def _take(part: nn.Module, given: Mapping[str, Tensor]) -> None:
-    own = part.state_dict()
+def _load_fitting(module: nn.Module, given: Mapping[str, Tensor]) -> None:
+    own = module.state_dict()
     fitting = {key: value for key, value in given.items() if key in own and own[key].shape == value.shape}
-    part.load_state_dict({**own, **fitting})
+    module.load_state_dict({**own, **fitting})

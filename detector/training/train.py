@@ -1,7 +1,7 @@
 """Training: shards and a preset -> a folder with checkpoints, logs and pictures.
 
-RUN_DIR/last.ckpt        to go on from, and the newest weights
-RUN_DIR/best.ckpt        best AP50 on the validation shards, where there are any
+RUN_DIR/last.ckpt        newest weights, and all that is needed to resume
+RUN_DIR/best.ckpt        weights with the best AP50 on the validation shards, where there are any
 RUN_DIR/csv/             losses and validation: version_0/metrics.csv, version_1/ after a resumption, ...
 RUN_DIR/pictures/        validation pictures with detections, one sheet per epoch
 RUN_DIR/tensorboard/     the same figures for TensorBoard
@@ -9,6 +9,7 @@ RUN_DIR/tensorboard/     the same figures for TensorBoard
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -25,34 +26,38 @@ from detector.data.dataset import (
     ValidationSamples,
     label_provenance,
     make_loader,
+    open_shards,
     open_sources,
 )
 from detector.device import gains_from_half
 from detector.model.anchor_fit import fit_anchors
-from detector.model.retinanet import build_model
-from detector.training.config import Preset, Trainer
+from detector.model.retinanet import CcRetinaNet, build_model
+from detector.training.config import MachineConfig, Preset
 from detector.training.pretrained import load_pretrained
 from labelgen.atomic_files import make_folder
 from labelgen.errors import LabelgenError, OutputError
 from labelgen.geometry import Region
 from labelgen.geometry.homography import Array
 
-__all__ = ["INSTALL_HINT", "TrainSummary", "train"]
+__all__ = ["TrainSummary", "train"]
 
-INSTALL_HINT = "training needs Lightning and TensorBoard: pip install 'labelgen[train]'"
-LAST, BEST = "last.ckpt", "best.ckpt"
+_INSTALL_HINT = "training needs Lightning and TensorBoard: pip install 'labelgen[train]'"
+_LAST, _BEST = "last.ckpt", "best.ckpt"
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class TrainSummary:
-    """How a training ended.
+    """Result of a training run.
 
     Args:
-        steps, epochs: done in all, resumed ones included.
-        checkpoint: the newest.
-        best: with the best validation, or None.
-        metrics: the last figures.
-        interrupted: whether somebody stopped it.
+        steps: finished steps, those before a resumption included.
+        epochs: finished epochs, likewise.
+        checkpoint: file with the newest weights.
+        best: file with the weights of the best validation; None without validation.
+        metrics: last value of each logged figure, by name.
+        interrupted: whether the user stopped it.
     """
 
     steps: int
@@ -73,46 +78,59 @@ def train(
     resume: bool = False,
     overwrite: bool = False,
     seed: int = 0,
-    machine: Trainer | None = None,
+    machine: MachineConfig | None = None,
 ) -> TrainSummary:
     """Train a detector.
 
     Args:
-        shards: files, folders, or FOLDER:WEIGHT.
-        preset: what and how; pair and size are those of the shards where it leaves them open.
-        out: run folder.
-        validation: shards to judge by after every epoch.
-        weights: what to begin with, see `detector.training.pretrained`.
-        resume: go on from the folder's last checkpoint.
-        overwrite: begin anew in a folder that has one.
+        shards: files, folders, or PATH:WEIGHT, see `detector.data.dataset.open_sources`.
+        preset: network and training; where it leaves pair and size open, they are those of the shards.
+        out: run folder; see the module for what it holds.
+        validation: shards on which the detector is evaluated after every epoch.
+        weights: file of weights to start from, see `detector.training.pretrained`; None for those of the preset.
+        resume: continue from the folder's last checkpoint. On a CPU the weights in the end are those of a run without
+            interruption.
+        overwrite: start a new run in a folder that holds one.
         seed: of weights, order and augmentation.
-        machine: devices and so on.
+        machine: devices and loader processes; None for the defaults.
+
+    Returns:
+        the newest and the best checkpoint, and the last figures.
 
     Raises:
         DataError: shards of another pair or size, or weights that do not fit.
-        OutputError: the folder has a checkpoint and neither `resume` nor `overwrite` is given.
-        LabelgenError: Lightning is not installed, or the shards lack labels.
+        OutputError: the folder holds a run and neither `resume` nor `overwrite` is given, or cannot be written.
+        LabelgenError: Lightning is not installed, the shards lack labels, or a run is resumed with other settings.
     """
-    machine = machine or Trainer()
+    machine = machine or MachineConfig()
     sources = open_sources(shards, preset.pair, preset.size_wh)
     metadata, steps = _plan(preset, sources, seed)
-    judged = _open_validation(validation, metadata)
-    last = out / LAST
+    validation_samples = None
+    if validation:
+        validation_samples = ValidationSamples(open_shards(validation, metadata.pair, metadata.size_wh))
+    last = out / _LAST
     if resume:
-        metadata = _same_card(read_checkpoint(last).get(METADATA_KEY), metadata, last)
+        metadata = _metadata_of_resumed(last, metadata)
     elif last.exists() and not overwrite:
-        raise OutputError(f"{out}: it holds a training; go on with --resume, or begin anew with --overwrite")
+        raise OutputError(
+            f"{out}: it holds a training run; resume it, or overwrite it", parameter=("resume", "overwrite")
+        )
     make_folder(out)
     torch.manual_seed(seed)
     model = build_model(metadata.config, weights="none" if weights or resume else preset.weights)
     if weights is not None and not resume:
-        load_pretrained(model, read_checkpoint(weights), f"--weights {weights}")
+        loaded = load_pretrained(model, read_checkpoint(weights), f"weights {weights}")
+        logger.info("starting from %s: weights of a %s", weights, loaded)
     samples = TrainingSamples(sources, metadata.size_wh, preset.whole, preset.crops, seed)
-    return _fit(model, preset, metadata, samples, judged, steps, out, last if resume else None, machine)
+    return _fit(model, preset, metadata, samples, validation_samples, steps, out, last if resume else None, machine)
 
 
 def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[ModelMetadata, int]:
-    """The checkpoint's metadata, and the number of steps in an epoch."""
+    """Work out the checkpoints' metadata and the number of steps in an epoch.
+
+    Raises:
+        LabelgenError: the shards have no labels to fit anchors to, or no c_c.
+    """
     readers = [reader for source in sources for reader in source.shards.readers]
     pair = preset.pair or readers[0].pair
     pictures = [reader.size_wh for source in sources if not source.crops for reader in source.shards.readers]
@@ -121,7 +139,7 @@ def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[Mo
     if preset.fit_anchors is not None:
         boxes = np.concatenate([_boxes(source, preset, size_wh) for source in sources])
         if not len(boxes):
-            raise LabelgenError(f"{readers[0].path}: no labels to size the anchors by")
+            raise LabelgenError(f"{readers[0].path}: no labels to fit the anchors to")
         per_level, ratios = preset.fit_anchors
         sizes, shapes = fit_anchors(boxes, len(config.levels), per_level, ratios)
         config = replace(config, anchor_sizes=sizes, anchor_ratios=shapes)
@@ -135,93 +153,92 @@ def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[Mo
     metadata = ModelMetadata(preset.name, pair, size_wh, config, max(heights), label_provenance(sources), training)
     if metadata.region is Region.NONE and config.cc_weight:
         raise LabelgenError(
-            f"{readers[0].path}: its pictures are not rectified, so there is no c_c; use --preset orig2d"
+            f"{readers[0].path}: its pictures are not rectified, so there is no c_c; use the preset orig2d",
+            parameter="preset",
         )
     return metadata, steps
 
 
 def _boxes(source: ShardSource, preset: Preset, size_wh: tuple[int, int]) -> Array:
-    """Boxes (N, 4) of a source at both ends of the middle half of augmentation's scales."""
+    """Return the boxes (N, 4) px of a source at the lower and at the upper quartile of augmentation's scales."""
     boxes: Array = source.shards.table("labels/box").astype(np.float64)
     ranges = preset.crops if source.crops else preset.whole
     base = np.divide(size_wh, source.shards.readers[0].size_wh) if source.crops else np.ones(2)
-    ends = np.quantile(ranges.scale, [0.25, 0.75])
-    return np.concatenate([boxes * np.tile(base, 2) * end for end in ends])
+    quartiles = np.quantile(ranges.scale, [0.25, 0.75])
+    return np.concatenate([boxes * np.tile(base, 2) * scale for scale in quartiles])
 
 
-def _open_validation(paths: Sequence[str | Path], metadata: ModelMetadata) -> ValidationSamples | None:
-    if not paths:
-        return None
-    from labelgen.shards import ShardDataset
+def _metadata_of_resumed(path: Path, metadata: ModelMetadata) -> ModelMetadata:
+    """Return the metadata of the checkpoint to resume from.
 
-    open_sources(paths, metadata.pair, metadata.size_wh)  # refuses what does not fit
-    return ValidationSamples(ShardDataset(paths))
-
-
-def _same_card(stored: Any, metadata: ModelMetadata, path: Path) -> ModelMetadata:
-    """The stored metadata, if training goes on under the same settings."""
-    before = ModelMetadata.from_dict(stored, f"checkpoint {path}")
-    pairs = {
-        "preset": (before.preset, metadata.preset),
-        "pair and size": ((before.pair, before.size_wh), (metadata.pair, metadata.size_wh)),
-        "shards": (before.labels, metadata.labels),
-        **{key: (before.training.get(key), value) for key, value in metadata.to_dict()["training"].items()},
+    Raises:
+        DataError: not a checkpoint.
+        LabelgenError: it was made with other settings than those of `metadata`.
+    """
+    stored = ModelMetadata.from_dict(read_checkpoint(path).get(METADATA_KEY), f"checkpoint {path}")
+    settings = {
+        "preset": (stored.preset, metadata.preset),
+        "pair and size": ((stored.pair, stored.size_wh), (metadata.pair, metadata.size_wh)),
+        "shards": (stored.labels, metadata.labels),
+        **{key: (stored.training.get(key), value) for key, value in metadata.to_dict()["training"].items()},
     }
-    changed = [name for name, (old, new) in pairs.items() if _plain(old) != _plain(new)]
+    changed = [name for name, (before, now) in settings.items() if _plain(before) != _plain(now)]
     if changed:
         raise LabelgenError(
-            f"--resume {path}: {', '.join(changed)} differ from those it was begun with; give the same, or start a "
-            "new run with --weights"
+            f"{path}: {', '.join(changed)} differ from those the run was started with; give the same, or start a new "
+            "run from these weights",
+            parameter="resume",
         )
-    return before
+    return stored
 
 
 def _plain(value: Any) -> Any:
+    """Turn tuples into lists, so that values from a checkpoint compare with those of a preset."""
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
     return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
-def _precision(preset: Preset, machine: Trainer) -> Any:
-    """Lightning's name for the precision that suits the device."""
+def _precision(preset: Preset, machine: MachineConfig) -> Any:
+    """Return Lightning's name of the precision: mixed where the preset wants it and the device gains from it."""
     on_cpu = machine.accelerator == "cpu" or not torch.cuda.is_available()
     device = torch.device("cpu" if on_cpu else "cuda")
     return "bf16-mixed" if preset.half and gains_from_half(device) else "32-true"
 
 
 def _fit(
-    model: Any, preset: Preset, metadata: ModelMetadata, samples: TrainingSamples, judged: ValidationSamples | None,
-    steps: int, out: Path, resume_from: Path | None, machine: Trainer,
+    model: CcRetinaNet, preset: Preset, metadata: ModelMetadata, samples: TrainingSamples,
+    validation: ValidationSamples | None, steps: int, out: Path, resume_from: Path | None, machine: MachineConfig,
 ) -> TrainSummary:  # fmt: skip
+    """Run Lightning's training loop."""
     try:
         import lightning.pytorch as pl
 
         from detector.training.callbacks import callbacks, loggers
         from detector.training.lightning_module import DetectorModule
     except ModuleNotFoundError as err:
-        raise LabelgenError(f"{err.name} is not installed; {INSTALL_HINT}") from None
+        raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
 
-    module = DetectorModule(model, preset, metadata, preset.epochs * steps, judged)
+    module = DetectorModule(model, preset, metadata, preset.epochs * steps, validation)
     trainer = pl.Trainer(
         accelerator=machine.accelerator, devices=machine.devices, num_nodes=machine.num_nodes,
         strategy=machine.strategy, precision=machine.precision or _precision(preset, machine), max_epochs=preset.epochs,
         gradient_clip_val=preset.clip_norm, logger=loggers(out), use_distributed_sampler=False,
-        callbacks=callbacks(out, preset, judged is not None, machine), num_sanity_val_steps=0,
+        callbacks=callbacks(out, preset, validation is not None, machine), num_sanity_val_steps=0,
         enable_progress_bar=machine.progress, enable_model_summary=False, log_every_n_steps=10,
         default_root_dir=out,
     )  # fmt: skip
     batches = StepSampler(
         preset.batch, steps, lambda: trainer.global_step, lambda: (trainer.global_rank, trainer.world_size)
     )
-    loaders = [make_loader(samples, batches=batches, workers=machine.workers)]
-    if judged is not None:
-        loaders.append(make_loader(judged, batch=preset.batch, workers=machine.workers))
-    trainer.fit(
-        module, loaders[0], loaders[1] if judged is not None else None, ckpt_path=resume_from, weights_only=True
-    )
-    best = out / BEST
+    training_loader = make_loader(samples, batches=batches, workers=machine.workers)
+    validation_loader = None
+    if validation is not None:
+        validation_loader = make_loader(validation, batch=preset.batch, workers=machine.workers)
+    trainer.fit(module, training_loader, validation_loader, ckpt_path=resume_from, weights_only=True)
+    best = out / _BEST
     metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
     return TrainSummary(
-        trainer.global_step, trainer.current_epoch, out / LAST, best if best.exists() else None, metrics,
+        trainer.global_step, trainer.current_epoch, out / _LAST, best if best.exists() else None, metrics,
         trainer.interrupted,
     )  # fmt: skip

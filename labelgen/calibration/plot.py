@@ -1,4 +1,4 @@
-"""A picture of a calibration: the road's grid, the vanishing directions, and the tracks it rests on."""
+"""Draw a calibration: the road plane's grid, the vanishing directions, and the tracks it rests on."""
 
 from __future__ import annotations
 
@@ -16,27 +16,29 @@ from labelgen.geometry.homography import Array
 
 __all__ = ["draw_calibration"]
 
-_SHOWN_WIDTH = 1280
-_MOST_TRACKS = 120
-_STEPS = (1, 2, 5, 10, 20, 50)
+_MIN_WIDTH_PX = 1280
+_MAX_TRACKS = 120
+"""Tracks drawn at most: more hide the picture."""
+_ROUND_STEPS = (1, 2, 5, 10, 20, 50)
+"""Distances between grid lines, times a power of 10."""
 _POINTS_PER_LINE = 60
 
 
 def draw_calibration(
     image: NDArray[np.uint8], camera: Camera, tracks: Sequence[Track] = (), lines: Sequence[str] = ()
 ) -> Picture:
-    """Draw a calibration over a picture of the scene.
+    """Draw a calibration over an image of the scene.
 
     Args:
-        image: (H, W, 3) uint8 BGR, a frame or the empty scene.
-        camera: without a scale the grid is in heights of the camera instead of metres.
-        tracks: the ones VP1 rests on, drawn thinly.
+        image: (H, W, 3) uint8 BGR, a frame or the background image.
+        camera: the calibration; without a scale the grid is in heights of the camera instead of metres.
+        tracks: those that VP1 rests on; about 120 are drawn.
         lines: text for the upper left corner.
 
     Returns:
         (h, w, 3) uint8 BGR, at least 1280 px wide.
     """
-    zoom = max(1.0, _SHOWN_WIDTH / image.shape[1])
+    zoom = max(1.0, _MIN_WIDTH_PX / image.shape[1])
     enlarged = np.asarray(cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
     picture = np.asarray(enlarged * 0.8, dtype=np.uint8)
     unit = "m"
@@ -44,13 +46,13 @@ def draw_calibration(
         unit = "camera heights"
         camera = replace(camera, scale=1.0)
         camera = replace(camera, scale=1 / camera.height_m)
-    shown = camera.resized(zoom)
-    chosen = list(tracks)[:: max(1, len(tracks) // _MOST_TRACKS)]
-    for track in chosen:
+    zoomed = camera.resized(zoom)
+    drawn_tracks = list(tracks)[:: max(1, len(tracks) // _MAX_TRACKS)]
+    for track in drawn_tracks:
         draw_polyline(picture, track.points_px * zoom, YELLOW, 1)
-    step = _draw_grid(picture, shown, chosen, zoom)
-    _draw_horizon(picture, shown)
-    _draw_directions(picture, shown, chosen, zoom)
+    step = _draw_grid(picture, zoomed, drawn_tracks, zoom)
+    _draw_horizon(picture, zoomed)
+    _draw_directions(picture, zoomed, drawn_tracks, zoom)
     text = [*lines, f"grid: {step[0]:g} {unit} along, {step[1]:g} across; red VP1, green VP2, blue VP3"]
     for row, line in enumerate(text):
         draw_text(picture, line, (12, 26 + 24 * row), 0.55)
@@ -58,7 +60,7 @@ def draw_calibration(
 
 
 def _region(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: float) -> tuple[Array, Array]:
-    """X and Y ranges of the road, in the camera's metres, where traffic was seen, or where the picture looks."""
+    """Return the ranges (2,) of X and Y, metres, of the road under the tracks; in the whole picture without tracks."""
     height, width = picture.shape[:2]
     if tracks:
         points = np.concatenate([track.points_px for track in tracks]) * zoom
@@ -74,7 +76,7 @@ def _region(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: flo
 
 
 def _draw_grid(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: float) -> tuple[float, float]:
-    """Draw the grid; returns its steps along and across."""
+    """Draw the grid; return its steps along and across the road, metres."""
     x, y = _region(picture, camera, tracks, zoom)
     steps = _step(x[1] - x[0], 12), _step(y[1] - y[0], 8)
     at_x, at_y = (np.arange(np.floor(r[0] / s), np.ceil(r[1] / s) + 1) * s for r, s in zip((x, y), steps, strict=True))
@@ -88,6 +90,7 @@ def _draw_grid(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: 
 
 
 def _draw_on_road(picture: Picture, camera: Camera, points_m: Array) -> None:
+    """Draw a line through points (N, 2) m of the road plane."""
     px = camera.project(points_m)
     px = px[np.isfinite(px).all(axis=1)]
     if len(px) > 1:
@@ -95,13 +98,14 @@ def _draw_on_road(picture: Picture, camera: Camera, points_m: Array) -> None:
 
 
 def _step(extent: float, lines: int) -> float:
-    """A round step that divides an extent into about so many parts."""
+    """Return a round step that divides an extent into about so many parts."""
     rough = max(extent, 1e-9) / lines
     power = 10.0 ** np.floor(np.log10(rough) - 1)
-    return float(min((s * power * k for k in (1, 10) for s in _STEPS), key=lambda s: abs(np.log(s / rough))))
+    return float(min((s * power * k for k in (1, 10) for s in _ROUND_STEPS), key=lambda s: abs(np.log(s / rough))))
 
 
 def _draw_horizon(picture: Picture, camera: Camera) -> None:
+    """Draw the line through VP1 and VP2."""
     direction = camera.vp2 - camera.vp1
     direction /= np.linalg.norm(direction)
     reach = 2.0 * picture.shape[1] + float(np.linalg.norm(camera.vp1))
@@ -109,7 +113,7 @@ def _draw_horizon(picture: Picture, camera: Camera) -> None:
 
 
 def _draw_directions(picture: Picture, camera: Camera, tracks: Sequence[Track], zoom: float) -> None:
-    """Arrows to the three vanishing points from a few places on the road."""
+    """Draw arrows to the three vanishing points from a few places on the road."""
     height, width = picture.shape[:2]
     points = np.concatenate([t.points_px for t in tracks]) * zoom if tracks else np.array([[width / 2, height * 0.7]])
     low, high = np.quantile(points, [0.15, 0.85], axis=0)
@@ -117,7 +121,7 @@ def _draw_directions(picture: Picture, camera: Camera, tracks: Sequence[Track], 
     length = 0.05 * width
     for place in np.array(places):
         for vp, colour, sign in ((camera.vp1, RED, 1), (camera.vp2, GREEN, 1), (camera.vp3, BLUE, -1)):
-            way = (vp - place) * sign
-            tip = place + way / np.linalg.norm(way) * length
+            direction = (vp - place) * sign
+            tip = place + direction / np.linalg.norm(direction) * length
             start, end = ((round(float(p[0])), round(float(p[1]))) for p in (place, tip))
             cv2.arrowedLine(picture, start, end, colour, 2, cv2.LINE_AA, tipLength=0.25)

@@ -113,12 +113,10 @@ def _of_frames(
 
 
 def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:
-    from detector.data.dataset import open_sources
+    from detector.data.dataset import open_shards
     from detector.visualize import draw_sample
-    from labelgen.shards import ShardDataset
 
-    open_sources([source], detector.metadata.pair, detector.metadata.size_wh)
-    samples = ShardDataset([source])
+    samples = open_shards([source], detector.metadata.pair, detector.metadata.size_wh)
     head = {"format": "labelgen-shard-detections", "version": 1, "shards": str(source)}
     yield json.dumps(head) + "\n", 0, None
     for index in range(min(len(samples), limit or len(samples))):

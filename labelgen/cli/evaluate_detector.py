@@ -32,15 +32,13 @@ def evaluate_detector(
 
     Figures ending in _whole leave truncated labels out: they need not be found and cost nothing when they are.
     """
-    from detector.data.dataset import open_sources
+    from detector.data.dataset import open_shards
     from detector.inference import load_detector
     from detector.metrics import evaluate_detections
-    from labelgen.shards import ShardDataset
 
     detector = load_detector(checkpoint, device=device)
     metadata = detector.metadata
-    open_sources(shards, metadata.pair, metadata.size_wh)
-    samples = ShardDataset(shards)
+    samples = open_shards(shards, metadata.pair, metadata.size_wh)
     result = evaluate_detections(_run(detector, samples, batch), score=score, min_height_px=metadata.min_height_px)
     size = "{}x{}".format(*metadata.size_wh)
     typer.echo(f"{checkpoint.name} ({metadata.preset}, {metadata.pair}, {size}) on {len(samples)} pictures")

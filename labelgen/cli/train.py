@@ -68,7 +68,7 @@ def train(
     Killed or interrupted, the same command with --resume goes on: same data in the same order, and on a CPU the same
     weights in the end.
     """
-    from detector.training.config import Trainer, find_preset
+    from detector.training.config import MachineConfig, find_preset
     from detector.training.train import train as run
 
     named = weights in ("imagenet", "none")
@@ -78,7 +78,7 @@ def train(
     )  # fmt: skip
     if backbone is not None:
         chosen = replace(chosen, model=replace(chosen.model, backbone=backbone))
-    machine = Trainer(
+    machine = MachineConfig(
         device, int(devices) if devices.isdigit() else devices, nodes, strategy, precision, workers, checkpoint_every
     )
     summary = run(

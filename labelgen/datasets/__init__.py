@@ -1,0 +1,1 @@
+"""Published data sets: their manifests, layouts and ground truth."""

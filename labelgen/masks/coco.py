@@ -26,7 +26,7 @@ from labelgen.labels import VehicleClass
 from labelgen.masks.coco_segmentation import check_segmentation, decode_segmentation
 from labelgen.masks.instances import InstanceMasks
 
-__all__ = ["CLASS_BY_COCO_ID", "CLASS_BY_NAME", "CocoMasks"]
+__all__ = ["CLASS_BY_COCO_ID", "CocoMasks"]
 
 CLASS_BY_COCO_ID = {
     3: VehicleClass.CAR,
@@ -34,7 +34,7 @@ CLASS_BY_COCO_ID = {
     6: VehicleClass.BUS,
     8: VehicleClass.TRUCK,
 }
-CLASS_BY_NAME = {
+_CLASS_BY_NAME = {
     "car": VehicleClass.CAR,
     "van": VehicleClass.CAR,
     "motorcycle": VehicleClass.MOTORCYCLE,
@@ -123,13 +123,11 @@ class CocoMasks:
         usable = self._usable.get(image_id, [])
         if not usable:
             return InstanceMasks.empty(frame_wh)
-        parts = [decode_segmentation(annotation["segmentation"], frame_wh) for annotation in usable]
-        return InstanceMasks(
+        return InstanceMasks.from_crops(
             frame_wh,
-            np.array([origin for origin, _ in parts], dtype=np.int64),
-            tuple(crop for _, crop in parts),
-            np.array([annotation["_class"] for annotation in usable], dtype=np.uint8),
-            np.array([annotation.get("score", 1.0) for annotation in usable], dtype=np.float32),
+            [decode_segmentation(annotation["segmentation"], frame_wh) for annotation in usable],
+            [annotation["_class"] for annotation in usable],
+            [annotation.get("score", 1.0) for annotation in usable],
         )
 
     def _check(self, frame_wh: tuple[int, int]) -> None:
@@ -169,12 +167,12 @@ class CocoMasks:
                 self._report(f"category without an id: {str(category)[:60]}; skipped")
                 continue
             name = str(category.get("name", "")).strip().lower()
-            if name in CLASS_BY_NAME:
-                classes[category["id"]] = CLASS_BY_NAME[name]
+            if name in _CLASS_BY_NAME:
+                classes[category["id"]] = _CLASS_BY_NAME[name]
             else:
                 self._other_names[category["id"]] = name or f"id {category['id']}"
         if not classes:
-            known, others = ", ".join(CLASS_BY_NAME), ", ".join(sorted(self._other_names.values())[:10]) or "none"
+            known, others = ", ".join(_CLASS_BY_NAME), ", ".join(sorted(self._other_names.values())[:10]) or "none"
             raise DataError(f"{self.path}: none of its categories is a vehicle (found {others}); name them {known}")
         return classes
 

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pycocotools import mask as rle_tools
 
-from labelgen.masks.instances import crop_mask
+from labelgen.masks.instances import Crop, crop_mask
 
 __all__ = ["check_segmentation", "decode_segmentation"]
 
 # Characters of a run length in COCO's text, 5 bits each: 40 bits count the pixels of any frame.
 _MAX_RUN_CHARACTERS = 8
 _EMPTY = "its mask is empty or outside the frame"
-Crop = tuple[tuple[int, int], NDArray[np.bool_]]
 
 
 def check_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> None:

@@ -76,7 +76,7 @@ def _gate(detections: InstanceMasks, silhouettes: InstanceMasks) -> InstanceMask
     moving = np.zeros((height, width), dtype=np.bool_)
     for (x, y), crop in zip(silhouettes.origins.tolist(), silhouettes.crops, strict=True):
         moving[y : y + crop.shape[0], x : x + crop.shape[1]] |= crop
-    indices, origins, crops = [], [], []
+    indices, crops = [], []
     for i, box in enumerate(detections.boxes_xyxy.tolist()):
         margin = round(_MARGIN_SHARE * max(box[2] - box[0], box[3] - box[1]))
         x0, y0 = max(0, box[0] - margin), max(0, box[1] - margin)
@@ -84,14 +84,9 @@ def _gate(detections: InstanceMasks, silhouettes: InstanceMasks) -> InstanceMask
         cropped = crop_mask(pieces, (x0, y0))
         if cropped is not None and cropped[1].sum() >= _MIN_FILLED_SHARE * (box[2] - box[0]) * (box[3] - box[1]):
             indices.append(i)
-            origins.append(cropped[0])
-            crops.append(cropped[1])
-    return InstanceMasks(
-        silhouettes.frame_wh,
-        np.array(origins, dtype=np.int64).reshape(-1, 2),
-        tuple(crops),
-        detections.class_ids[indices],
-        detections.scores[indices],
+            crops.append(cropped)
+    return InstanceMasks.from_crops(
+        silhouettes.frame_wh, crops, detections.class_ids[indices], detections.scores[indices]
     )
 
 

@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from labelgen.errors import DataError
 from labelgen.labels import VehicleClass
 
-__all__ = ["InstanceMasks", "crop_mask"]
+__all__ = ["Crop", "InstanceMasks", "crop_mask"]
 
 BoolMask = NDArray[np.bool_]
+Crop = tuple[tuple[int, int], BoolMask]
+"""Origin (x, y) of a crop in the frame, px, and the crop (h, w) bool."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,30 @@ class InstanceMasks:
     @classmethod
     def empty(cls, frame_wh: tuple[int, int]) -> InstanceMasks:
         """Return no masks for a frame of this size (width, height), px."""
-        return cls(frame_wh, np.empty((0, 2)), (), np.empty(0), np.empty(0))  # type: ignore[arg-type]
+        return cls.from_crops(frame_wh, [], [], [])
+
+    @classmethod
+    def from_crops(
+        cls, frame_wh: tuple[int, int], crops: Sequence[Crop], class_ids: ArrayLike, scores: ArrayLike
+    ) -> InstanceMasks:
+        """Combine crops of one frame.
+
+        Args:
+            frame_wh: size of the frame, px.
+            crops: N crops with their origins, see `crop_mask`.
+            class_ids: (N,) values of `labelgen.labels.VehicleClass`.
+            scores: (N,) in [0, 1].
+
+        Raises:
+            DataError: fields that do not fit together.
+        """
+        return cls(
+            frame_wh,
+            np.array([origin for origin, _ in crops], dtype=np.int64).reshape(-1, 2),
+            tuple(crop for _, crop in crops),
+            np.asarray(class_ids, dtype=np.uint8),
+            np.asarray(scores, dtype=np.float32),
+        )
 
     @classmethod
     def from_masks(
@@ -99,15 +124,7 @@ class InstanceMasks:
         cropped = [crop_mask(mask) for mask in masks]
         if any(part is None for part in cropped):
             raise DataError("instance masks: a mask without any pixel; leave such masks out")
-        parts = [part for part in cropped if part is not None]
-        origins = np.array([origin for origin, _ in parts], dtype=np.int64).reshape(-1, 2)
-        return cls(
-            frame_wh,
-            origins,
-            tuple(crop for _, crop in parts),
-            np.asarray(class_ids, dtype=np.uint8),
-            np.asarray(scores, dtype=np.float32),
-        )
+        return cls.from_crops(frame_wh, [part for part in cropped if part is not None], class_ids, scores)
 
     @property
     def boxes_xyxy(self) -> NDArray[np.int64]:
@@ -123,7 +140,7 @@ class InstanceMasks:
         return out
 
 
-def crop_mask(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> tuple[tuple[int, int], BoolMask] | None:
+def crop_mask(mask: NDArray[Any], origin_px: tuple[int, int] = (0, 0)) -> Crop | None:
     """Crop a mask to the bounding box of its set pixels.
 
     Args:

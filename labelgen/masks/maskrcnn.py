@@ -23,7 +23,7 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 
 from labelgen.errors import DataError, LabelgenError
 from labelgen.masks.coco import CLASS_BY_COCO_ID
-from labelgen.masks.instances import InstanceMasks, crop_mask
+from labelgen.masks.instances import Crop, InstanceMasks, crop_mask
 
 __all__ = ["MaskRcnnMasks"]
 
@@ -95,27 +95,20 @@ class MaskRcnnMasks:
 
     def _vehicles(self, detections: Mapping[str, NDArray[Any]], frame_wh: tuple[int, int]) -> InstanceMasks:
         """Return the vehicles among the detections of one image."""
-        origins, crops, class_ids, scores = [], [], [], []
+        crops, class_ids, scores = [], [], []
         for box, label, score, small in zip(
             *(detections[key] for key in ("boxes", "labels", "scores", "masks")), strict=True
         ):
             vehicle_class = CLASS_BY_COCO_ID.get(int(label))
             if vehicle_class is None or score < self._score_threshold:
                 continue
-            part = _place(small[0], box, frame_wh)
-            if part is None:
+            crop = _place(small[0], box, frame_wh)
+            if crop is None:
                 continue
-            origins.append(part[0])
-            crops.append(part[1])
+            crops.append(crop)
             class_ids.append(vehicle_class)
             scores.append(min(float(score), 1.0))
-        return InstanceMasks(
-            frame_wh,
-            np.array(origins, dtype=np.int64).reshape(-1, 2),
-            tuple(crops),
-            np.array(class_ids, dtype=np.uint8),
-            np.array(scores, dtype=np.float32),
-        )
+        return InstanceMasks.from_crops(frame_wh, crops, class_ids, scores)
 
 
 class _SmallMasks(GeneralizedRCNNTransform):  # type: ignore[misc]
@@ -133,10 +126,8 @@ class _SmallMasks(GeneralizedRCNNTransform):  # type: ignore[misc]
         return result
 
 
-def _place(
-    small: NDArray[np.float32], box_xyxy: NDArray[np.float32], frame_wh: tuple[int, int]
-) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
-    """Resample a mask (28, 28) of probabilities that spans a box: origin and crop in the frame."""
+def _place(small: NDArray[np.float32], box_xyxy: NDArray[np.float32], frame_wh: tuple[int, int]) -> Crop | None:
+    """Resample a mask (28, 28) of probabilities, which spans a box, to the frame."""
     x0, y0, x1, y1 = (float(v) for v in box_xyxy)
     low = max(0, int(np.floor(x0))), max(0, int(np.floor(y0)))
     high = min(frame_wh[0], int(np.ceil(x1))), min(frame_wh[1], int(np.ceil(y1)))

@@ -1,0 +1,1 @@
+"""Frames: read videos, folders of images and camera streams; write videos."""

@@ -156,5 +156,5 @@ def test_a_model_sees_the_region_it_was_trained_on() -> None:
 
 
 def test_unknown_devices_are_named() -> None:
-    with pytest.raises(LabelgenError, match="--device teapot"):
+    with pytest.raises(LabelgenError, match="device teapot"):
         choose_device("teapot")

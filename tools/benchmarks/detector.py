@@ -1,7 +1,7 @@
-"""How fast the detector is.
+"""Measure the speed of the detector.
 
-`branch`: the c_c branch against torchvision's own RetinaNet, same weights, same input, alternating in one run.
-`stages`: a video end to end, decode, rectify, detect, track: frames per second, and where the time goes.
+`branch`: the network with c_c beside torchvision's own RetinaNet: same weights, same input, in alternation.
+`stages`: a video from decoding to tracks: frames per second, and the time of each stage.
 
     python -m tools.benchmarks.detector branch [--backbone resnet50] [--size 640x360] [--pairs 20]
     python -m tools.benchmarks.detector stages CHECKPOINT VIDEO_OR_SESSION [--frames 300] [--half|--no-half] [--compile]
@@ -15,13 +15,14 @@ import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import torch
 from torchvision.models.detection import RetinaNet
 
-from detector.inference import load_detector
+from detector.inference import Detector, load_detector
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import detect
@@ -29,20 +30,24 @@ from detector.tracking.iou_tracker import IouTracker
 from detector.training.config import find_preset
 from labelgen.datasets.scene import find_scene
 from labelgen.geometry import parse_size
+from labelgen.media.frames import Frame
 from labelgen.media.timed_frames import TimedFrames
 
 __all__ = ["benchmark_branch", "benchmark_stages", "plain_retinanet", "synchronised_s"]
 
+_STAGE_FRAMES = 40
+"""Frames on which each stage is timed by itself; they are kept in memory."""
+
 
 def synchronised_s(device: torch.device) -> float:
-    """The clock, s, once the device has done what it was given."""
+    """Wait until the device has finished, and return the clock in s."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
 
 
 def plain_retinanet(ours: CcRetinaNet) -> RetinaNet:
-    """torchvision's own RetinaNet with the weights of ours, which it shares: the same boxes, without c_c."""
+    """Build torchvision's own RetinaNet on shared weights: it gives the same boxes, without c_c."""
     plain = RetinaNet(
         ours.backbone, 1, anchor_generator=ours.anchor_generator, score_thresh=ours.score_thresh,
         detections_per_img=ours.detections_per_img,
@@ -55,9 +60,15 @@ def plain_retinanet(ours: CcRetinaNet) -> RetinaNet:
 
 
 def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, device: str) -> dict[str, Any]:
-    """Median inference time of both networks, and the median ratio of alternating pairs.
+    """Measure the median inference time of both networks, and the median ratio of alternating pairs.
 
-    The ratio of processor time beside it is less disturbed by whatever else the machine does.
+    The ratio of processor times is given as well: other programs on the machine disturb it less.
+
+    Args:
+        config: of the network.
+        size_wh: width, height px of the picture.
+        pairs: number of measured pairs.
+        device: torch device.
     """
     place = torch.device(device)
     torch.manual_seed(0)
@@ -68,7 +79,7 @@ def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, 
     networks = {"ours": ours, "torchvision": plain}
     with torch.inference_mode():
         for number in range(pairs + 3):
-            # Who goes first changes from pair to pair.
+            # Each network goes first in every other pair.
             for name in sorted(networks, reverse=bool(number % 2)):
                 begin, busy = synchronised_s(place), time.process_time()
                 networks[name](image)
@@ -87,42 +98,35 @@ def benchmark_branch(config: ModelConfig, size_wh: tuple[int, int], pairs: int, 
 def benchmark_stages(
     checkpoint: Path, source: Path, frames: int, *, device: str | None, half: bool | None, compiled: bool
 ) -> dict[str, Any]:
-    """Frames per second end to end as in use (stages overlap), and milliseconds of each stage by itself.
+    """Measure frames per second end to end, where stages overlap, and the time of each stage by itself.
 
-    Processor time per frame beside it says what the machine would do with nothing else running on it.
+    Processor time per frame is given as well: other programs on the machine disturb it less.
+
+    Args:
+        checkpoint: of the detector.
+        source: video with calibration and road mask, or session.
+        frames: number of frames to measure, from the beginning of the video.
+        device: torch device; None for the GPU where there is one.
+        half: half precision; None for where the device gains from it.
+        compiled: compile the network.
     """
     detector = load_detector(checkpoint, score=0.3, device=device, half=half, compiled=compiled)
     scene = find_scene(source).open()
     video = scene.frames
     view = model_view(detector.metadata, scene.camera, scene.road)
-    assert view.rectification is not None
-    model, to_input = DetectorDetections(detector, view), detector.rectifier(view.rectification, view.camera)
-
+    source_of_detections = DetectorDetections(detector, view)
+    stages = _time_stages(detector, source_of_detections, list(islice(video.frames(), min(frames, _STAGE_FRAMES))))
     begin = time.perf_counter()
-    pictures = []
-    for frame in video.frames():
-        pictures.append(frame)
-        if len(pictures) >= min(frames, 40):
-            break
-    decode = (time.perf_counter() - begin) / len(pictures)
-    list(model.detections(pictures[:3]))
-    begin = synchronised_s(detector.device)
-    inputs = [to_input(frame.image) for frame in pictures]
-    rectify = (synchronised_s(detector.device) - begin) / len(pictures)
-    begin = synchronised_s(detector.device)
-    for picture in inputs:
-        detector.detect([picture])
-    network = (synchronised_s(detector.device) - begin) / len(pictures)
+    decoded = sum(1 for _ in islice(video.frames(), min(frames, _STAGE_FRAMES)))
+    decode = (time.perf_counter() - begin) / decoded
 
     tracker, count, vehicles, tracking = IouTracker(), 0, 0, 0.0
     begin, busy = time.perf_counter(), time.process_time()
-    for _, found in detect(model, TimedFrames(video, fps=video.fps)):
+    for _, detections in islice(detect(source_of_detections, TimedFrames(video, fps=video.fps)), frames):
         start = time.perf_counter()
-        tracker.update(found.frame, found.boxes_xyxy, found.scores)
+        tracker.update(detections.frame, detections.boxes_xyxy, detections.scores)
         tracking += time.perf_counter() - start
-        count, vehicles = count + 1, vehicles + len(found)
-        if count >= frames:
-            break
+        count, vehicles = count + 1, vehicles + len(detections)
     seconds, busy = time.perf_counter() - begin, time.process_time() - busy
     result = {
         "frames": count, "detections": vehicles, "frame_wh": list(video.size_wh),
@@ -130,16 +134,31 @@ def benchmark_stages(
         "device": str(detector.device), "half": detector.half, "threads": torch.get_num_threads(),
         "fps": count / seconds,
         "cpu_ms_per_frame": 1000 * busy / count,
-        "decode_ms": 1000 * decode, "rectify_ms": 1000 * rectify, "detect_ms": 1000 * network,
-        "track_ms": 1000 * tracking / count,
+        "decode_ms": 1000 * decode, **stages, "track_ms": 1000 * tracking / count,
     }  # fmt: skip
     if detector.device.type == "cuda":
         result["peak_mib"] = torch.cuda.max_memory_allocated() / 2**20
     return result
 
 
+def _time_stages(detector: Detector, source: DetectorDetections, frames: Sequence[Frame]) -> dict[str, float]:
+    """Measure rectification and network by themselves, in ms per frame."""
+    view = source.view
+    assert view.rectification is not None
+    to_input = detector.rectifier(view.rectification, view.camera)
+    list(source.detections(frames[:3]))  # the first passes take longer
+    begin = synchronised_s(detector.device)
+    inputs = [to_input(frame.image) for frame in frames]
+    rectify = synchronised_s(detector.device) - begin
+    begin = synchronised_s(detector.device)
+    for item in inputs:
+        detector.detect([item])
+    network = synchronised_s(detector.device) - begin
+    return {"rectify_ms": 1000 * rectify / len(frames), "detect_ms": 1000 * network / len(frames)}
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point."""
+    """Run the benchmark on command line arguments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--threads", type=int, help="of PyTorch")

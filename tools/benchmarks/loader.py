@@ -73,7 +73,7 @@ class _PlainSamples(Dataset[Any]):
         self._samples, self._folder = samples, folder
 
     def __getitem__(self, number: int) -> Any:
-        _, index = self._samples.which(number)
+        _, index = self._samples.locate(number)
         data = [(self._folder / f"{index:06d}.{suffix}").read_bytes() for suffix in ("jpg", "json")]
         return _finish(self._samples, data[0], data[1], number)
 

@@ -1,7 +1,7 @@
-"""Frames per second of the six published sizes, from video to tracks, beside torchvision's own RetinaNet.
+"""Measure frames per second of the six published sizes, from video to tracks, beside torchvision's own RetinaNet.
 
-One checkpoint is run at every size: its network is convolutional, so it finds vehicles at any of them, if not as well
-as one trained there. The ways to run it:
+One checkpoint runs at every size: its network is convolutional, so it detects vehicles at any of them, less well than
+one trained for it. The ways to run it:
 
     torchvision        torchvision's RetinaNet as it comes, the same weights: no c_c, batch norm not folded, float32
     torchvision half   the same under autocast, as torchvision's users run it
@@ -11,7 +11,8 @@ as one trained there. The ways to run it:
 
     python -m tools.benchmarks.sizes CHECKPOINT SESSION [--sizes 640x360 ...] [--frames 200] [--rounds 3] [--no-compile]
 
-Detections are tracked, but not made into speeds. Every way sees the same frames; the median of the rounds counts.
+Detections are tracked, but no speeds are measured. Every way gets the same frames; the result is the median of the
+rounds.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import argparse
 import gc
 import itertools
 import json
+import logging
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -48,10 +50,13 @@ __all__ = ["PUBLISHED_SIZES", "benchmark_sizes"]
 
 PUBLISHED_SIZES = [p.size_wh for p in PRESETS.values() if p.name.startswith("paper-") and p.size_wh is not None]
 _SCORE = 0.3
+"""Lowest score of a detection, as is usual for measuring speeds."""
+
+logger = logging.getLogger(__name__)
 
 
 class _WithoutCc(nn.Module):
-    """torchvision's RetinaNet; c_c, which it does not know, is a constant, so that the rest of the chain runs."""
+    """torchvision's RetinaNet with a constant c_c, which the stages after it need."""
 
     def __init__(self, model: CcRetinaNet, half: bool) -> None:
         super().__init__()
@@ -59,16 +64,16 @@ class _WithoutCc(nn.Module):
 
     def forward(self, images: list[Tensor]) -> list[dict[str, Tensor]]:
         with torch.autocast(images[0].device.type, enabled=self._half):
-            found: list[dict[str, Tensor]] = self.model(images)
-        for output in found:
+            outputs: list[dict[str, Tensor]] = self.model(images)
+        for output in outputs:
             output["cc"] = torch.full_like(output["scores"], 0.3)
-        return found
+        return outputs
 
 
 def _ways(
     model: CcRetinaNet, metadata: ModelMetadata, device: str | None, compiled: bool
 ) -> dict[str, Callable[[], Detector]]:
-    """Makers of detectors, so that only one is in the device's memory at a time."""
+    """Return functions that build the detectors, so that only one is in the device's memory at a time."""
 
     def plain(half: bool) -> Detector:
         network: Any = _WithoutCc(deepcopy(model), half)
@@ -91,16 +96,17 @@ def _ways(
 
 
 def _end_to_end(model: DetectorDetections, video: FrameSource, frames: int) -> tuple[float, int]:
-    """Frames per second, decoding to tracks, and how many detections there were."""
+    """Measure frames per second from decoding to tracks, and count the detections."""
     tracker, count, vehicles = IouTracker(), 0, 0
     begin = time.perf_counter()
-    for _, found in itertools.islice(detect(model, TimedFrames(video, fps=video.fps)), frames):
-        tracker.update(found.frame, found.boxes_xyxy, found.scores)
-        count, vehicles = count + 1, vehicles + len(found)
+    for _, detections in itertools.islice(detect(model, TimedFrames(video, fps=video.fps)), frames):
+        tracker.update(detections.frame, detections.boxes_xyxy, detections.scores)
+        count, vehicles = count + 1, vehicles + len(detections)
     return count / (time.perf_counter() - begin), vehicles
 
 
 def _measure(detector: Detector, scene: Scene, first: list[Frame], frames: int, rounds: int) -> Any:
+    """Measure one detector: medians of the rounds, as a row of the result."""
     view = model_view(detector.metadata, scene.camera, scene.road)
     assert view.rectification is not None
     model = DetectorDetections(detector, view)
@@ -132,19 +138,17 @@ def _measure(detector: Detector, scene: Scene, first: list[Frame], frames: int, 
 def benchmark_sizes(
     checkpoint: Path, source: Path, sizes: Sequence[tuple[int, int]] = PUBLISHED_SIZES, *,
     frames: int = 200, rounds: int = 3, device: str | None = None, compiled: bool = True,
-    say: Callable[[str], object] = print,
 ) -> dict[str, Any]:  # fmt: skip
-    """Every way at every size; a line is said as soon as it is measured.
+    """Measure every way at every size, and log each result as soon as it is there.
 
     Args:
-        checkpoint: of a model without sizes of its own anchors' making: any preset's.
+        checkpoint: of any preset.
         source: video with calibration and road mask, or session.
         sizes: width, height px; upright ones are rectified with VP1-VP2, the others with VP2-VP3.
         frames: of the video, per round.
         rounds: end-to-end passes per way.
-        device: the GPU if there is one.
+        device: torch device; None for the GPU where there is one.
         compiled: also measure the compiled way, which takes half a minute more per size.
-        say: is told each row.
     """
     model, stored = load_model(checkpoint, score_thresh=_SCORE)
     scene = find_scene(source).open()
@@ -156,9 +160,9 @@ def benchmark_sizes(
         "frame_wh": list(video.size_wh), "frames": count, "decode_fps": count / (time.perf_counter() - begin),
         "threads": torch.get_num_threads(), "torch": torch.__version__, "sizes": {},
     }  # fmt: skip
-    say(f"{count} frames of {_text(video.size_wh)}, decoded alone at {result['decode_fps']:.0f} a second")
+    logger.info("%d frames of %s, decoded alone at %.0f fps", count, _text(video.size_wh), result["decode_fps"])
     pairs = {p.size_wh: p.pair for p in PRESETS.values() if p.size_wh is not None and p.pair is not None}
-    # What takes long to prepare comes last, so that a run that is cut short has the rest of every size.
+    # Compiled ways come last: a run that is stopped early then has the other ways at every size.
     names = list(_ways(model, stored, device, compiled))
     for name in sorted(names, key=lambda key: key.endswith("compiled")):
         for size_wh in sizes:
@@ -169,7 +173,7 @@ def benchmark_sizes(
             result["sizes"].setdefault(_text(size_wh), {})[name] = row
             memory = f"{row['peak_mib']:7.0f} MiB" if "peak_mib" in row else ""
             figures = f"{row['fps']:7.1f} fps  detect {row['detect_ms']:7.2f} ms {memory}"
-            say(f"{_text(size_wh):8} {name:17} {figures}  {row['detections']} found")
+            logger.info("%-8s %-17s %s  %d detections", _text(size_wh), name, figures, row["detections"])
             del detector
             gc.collect()
             torch.compiler.reset()  # or the next size would be compiled for any size
@@ -183,7 +187,7 @@ def _text(size_wh: tuple[int, int]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point."""
+    """Run the benchmark on command line arguments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("source", type=Path)
@@ -194,9 +198,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
     result = benchmark_sizes(
         given.checkpoint, given.source, given.sizes, frames=given.frames, rounds=given.rounds, device=given.device,
-        compiled=given.compile, say=lambda line: print(line, flush=True),
+        compiled=given.compile,
     )  # fmt: skip
     if given.json is not None:
         given.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

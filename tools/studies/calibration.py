@@ -1,14 +1,14 @@
-"""How good calibrations from the video alone are, against published and against true cameras.
+"""Compare calibrations from the video alone with published and with true cameras.
 
     python -m tools.studies.calibration tracks BRNOCOMPSPEED_ROOT
     python -m tools.studies.calibration videos SESSION... [--json FILE]
 
-`tracks` takes the vehicle tracks of the published 2014 system and compares VP1 with the published one. It also asks
-whose VP1 explains the surveyed distances better: for either, with the tilt of the best known calibration, the focal
-length that fits them best is sought, and what error in the ratios of distances is left.
+`tracks` takes the vehicle tracks of the published 2014 system and compares VP1 with the published one. It also measures
+which VP1 explains the surveyed distances better: for either, with the tilt of the best known calibration, the focal
+length with the least error in the ratios of distances is searched, and that error is printed.
 
 `videos` calibrates from the videos of rendered sessions, ROOT/dataset/NAME, and compares with the camera they were
-rendered with; "true" distances are what that camera makes of the surveyed segments' ends.
+rendered with; "true" distances are those that this camera gives for the surveyed segments' ends.
 """
 
 from __future__ import annotations
@@ -37,68 +37,72 @@ from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array
 from labelgen.media.open_frames import open_frames
 
-__all__ = ["app", "compare_video", "ratio_error", "travel_from_cars"]
+__all__ = ["app", "compare_video", "ratio_error", "vp1_from_cars"]
 
 app = typer.Typer(no_args_is_help=True, add_completion=False)
 
 _UNIT = 1.2 * 1920
-_SHORTEST = 0.12
+"""Normalised unit of the full-size recordings, px."""
+_MIN_LENGTH = 0.12
+"""Shortest track used, units: the published tracks are long, and short ones cross or turn."""
 _SYSTEM = "system_dubska_bmvc14.json"
 _BEST = "system_optimal_calibration.json"
 
 
-def travel_from_cars(path: Path, pp: Array) -> Array:
-    """(2,) px, VP1 of the tracks of a result file."""
+def vp1_from_cars(path: Path, pp: Array) -> Array:
+    """Return VP1 (2,) px of the tracks of a result file."""
     fps = load_manifest("brnocompspeed")["rates"]["default"]
     cars = [c for c in json.loads(path.read_text())["cars"] if isinstance(c.get("posX"), list) and len(c["posX"]) > 5]
     tracks = [Track(np.array(c["frames"]) / fps, np.stack([c["posX"], c["posY"]], axis=1)) for c in cars]
     lines = track_lines(tracks, pp, _UNIT)
-    direction = estimate_vp1(lines[lines.length > _SHORTEST]).direction
+    direction = estimate_vp1(lines[lines.length > _MIN_LENGTH]).direction
     out: Array = pp + _UNIT * direction[:2] / direction[2]
     return out
 
 
 def ratio_error(camera: Camera, truth: GroundTruth) -> float:
-    """Mean error of the ratios of all pairs of surveyed distances, percent, as the public protocol has it."""
+    """Return the mean error of the ratios of all pairs of surveyed distances, percent, by the public protocol."""
     scored = score_recording(truth, Tracks.from_cars([]), replace(camera, scale=camera.scale or 1.0))
     return float(scored.ratio_errors_relative.mean())
 
 
 def angle_deg(vp_a: Array, vp_b: Array, camera: Camera) -> float:
-    """Angle at the camera between two vanishing points."""
+    """Return the angle at the camera between two vanishing points (2,) px, degrees."""
     a, b = (np.array([*(vp - camera.pp), camera.focal]) for vp in (vp_a, vp_b))
     return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
 
 
 def tilt_deg(camera: Camera) -> float:
-    """Tilt of the horizon, degrees, -90 to 90."""
-    way = camera.vp2 - camera.vp1
-    return float(np.degrees(np.arctan(way[1] / way[0])))
+    """Return the tilt of the horizon, degrees, -90 to 90."""
+    horizon = camera.vp2 - camera.vp1
+    return float(np.degrees(np.arctan(horizon[1] / horizon[0])))
 
 
 def best_fit(vp1: Array, best: Camera, truth: GroundTruth) -> tuple[float, float]:
-    """Least ratio error that any focal length reaches with a VP1 and the best calibration's tilt; and that length."""
+    """Return the least ratio error, percent, over focal lengths with a VP1 and the best calibration's tilt; and its
+    focal length, px.
+    """
     tilt = np.radians(tilt_deg(best))
     direction = np.array([*(vp1 - best.pp) / _UNIT, 1.0])
-    found = []
+    errors = []
     for focal in np.geomspace(0.4, 3.0, 80):
         camera = camera_from_angles(direction, tilt, focal, best.pp, _UNIT, (1920, 1080))
-        found.append((ratio_error(camera, truth), focal * _UNIT))
-    return min(found)
+        errors.append((ratio_error(camera, truth), focal * _UNIT))
+    return min(errors)
 
 
-def compare_video(done: Calibration, true: Camera, truth: GroundTruth) -> dict[str, Any]:
-    """A calibration against the camera a session was rendered with."""
+def compare_video(calibration: Calibration, true: Camera, truth: GroundTruth) -> dict[str, Any]:
+    """Return the errors of a calibration against the camera that a session was rendered with."""
     known = true.road_points(truth.segments_px.reshape(-1, 2)).reshape(-1, 2, 2)
     lengths = np.linalg.norm(known[:, 0] - known[:, 1], axis=-1)
-    camera = done.camera
+    camera = calibration.camera
     row = {
         "vp1_deg": angle_deg(camera.vp1, true.vp1, true),
         "tilt_deg": tilt_deg(camera) - tilt_deg(true),
         "focal_percent": 100 * (camera.focal / true.focal - 1),
         "ratio_percent": ratio_error(camera, replace(truth, segments_m=lengths)),
-        "seconds": done.observations.duration_s,
-        "confidence": done.confidence(),
+        "seconds": calibration.observations.duration_s,
+        "confidence": calibration.confidence(),
     }
     if camera.scale is not None:
         # The scale's own error, apart from that of the angles: over all surveyed segments.
@@ -121,11 +125,11 @@ def tracks_table(root: Annotated[Path, typer.Argument(help="BrnoCompSpeed root w
         name = path.parent.name
         best = Camera.load(path.with_name(_BEST), image_wh=(1920, 1080))
         published = np.array(json.loads(path.read_text())["camera_calibration"]["vp1"])
-        found = travel_from_cars(path, best.pp)
-        angles.append(angle_deg(found, published, best))
+        vp1 = vp1_from_cars(path, best.pp)
+        angles.append(angle_deg(vp1, published, best))
         truth = read_ground_truth(root / "dataset" / name / "gt_data.pkl")
-        errors = [best_fit(vp, best, truth) for vp in (found, published)]
-        places = (f"{vp[0]:.0f}, {vp[1]:.0f}" for vp in (found, published))
+        errors = [best_fit(vp, best, truth) for vp in (vp1, published)]
+        places = (f"{vp[0]:.0f}, {vp[1]:.0f}" for vp in (vp1, published))
         shown = " | ".join(f"{error:.2f} (f {focal:.0f})" for error, focal in errors)
         typer.echo(f"| {name} | {' | '.join(places)} | {angles[-1]:.2f} | {shown} |")
     typer.echo(f"\nmedian {np.median(angles):.2f}, within 1 degree: {sum(a <= 1 for a in angles)} of {len(angles)}")
@@ -145,9 +149,9 @@ def videos_table(
         name = session.resolve().name
         results = session.resolve().parent.parent / "results" / name
         frames = open_frames(session / "video.avi")
-        done = calibrate_with_scale(frames, ["auto-models"], need_scale=False, duration_s=duration)
+        calibration = calibrate_with_scale(frames, ["auto-models"], need_scale=False, duration_s=duration)
         true = Camera.load(results / _BEST)
-        row = compare_video(done, true, read_ground_truth(session / "gt_data.pkl"))
+        row = compare_video(calibration, true, read_ground_truth(session / "gt_data.pkl"))
         rows[name] = row
         figures = [
             row["vp1_deg"],

@@ -1,9 +1,9 @@
-"""The forms of common vehicles, from the synthetic renderer's bodies, as the calibration keeps them.
+"""Write the bodies of common vehicles that the calibration uses, from the synthetic renderer's.
 
     python -m tools.studies.common_bodies
 
-Writes labelgen/geometry/common_bodies.json: to make the bodies anew takes as long as a few seconds of video do. A test
-says when it is out of date.
+Writes labelgen/geometry/common_bodies.json, because building the meshes takes seconds. A test fails when the file is
+out of date.
 """
 
 from __future__ import annotations
@@ -23,13 +23,16 @@ from labelgen.synth.vehicle.body_types import BODY_TYPES, mean_shape
 
 __all__ = ["corners", "main"]
 
-_DIRECTIONS, _SHORT_M = 3000, 0.01
+_DIRECTIONS = 3000
+"""Directions in which hull and body are compared."""
+_TOLERANCE_M = 0.01
+"""Largest difference in any of them, metres; a smaller one needs more corners, which cost time in the fit."""
 _MIRROR_M = 0.05
-"""What silhouettes hold of how far wing mirrors stand out: a part, since they are thin."""
+"""How far wing mirrors stand out in silhouettes, metres: less than in fact, since they are thin."""
 
 
 def corners(kind: str) -> Array:
-    """(V, 3) m, the fewest corners of a body's hull that reach as far as it does in any direction, to a centimetre."""
+    """Return corners (V, 3) m of a body's hull, few of them, that reach as far as the body in any direction."""
     shape = mean_shape(kind)
     reach = shape.width / 2 + _MIRROR_M
     mirrors = np.concatenate([part.vertices for part in outside_parts(shape)])
@@ -41,22 +44,22 @@ def corners(kind: str) -> Array:
     spread = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
     reaches = points @ np.concatenate([spread, np.eye(3), -np.eye(3)], axis=1)
     farthest = reaches.max(axis=0)
-    chosen = [int(reaches[:, 0].argmax())]
+    selected = [int(reaches[:, 0].argmax())]
     while True:
-        short = farthest - reaches[chosen].max(axis=0)
+        short = farthest - reaches[selected].max(axis=0)
         worst = int(short.argmax())
-        if short[worst] <= _SHORT_M:
-            return np.asarray(points[chosen])
-        chosen.append(int(reaches[:, worst].argmax()))
+        if short[worst] <= _TOLERANCE_M:
+            return np.asarray(points[selected])
+        selected.append(int(reaches[:, worst].argmax()))
 
 
 def main() -> None:
     """Write the file."""
-    bodies_kept = {
+    types = {
         kind: {"share": BODY_TYPES[kind].share, "corners_mm": np.rint(1000 * corners(kind)).astype(int).tolist()}
         for kind in COMMON_KINDS
     }
-    rows = [f'"{kind}": {json.dumps(kept)}' for kind, kept in bodies_kept.items()]
+    rows = [f'"{kind}": {json.dumps(body)}' for kind, body in types.items()]
     path = Path(bodies.__file__).with_name(BODIES_FILE)
     write_atomic(path, ("{\n" + ",\n".join(rows) + "\n}\n").encode())
     typer.echo(str(path))

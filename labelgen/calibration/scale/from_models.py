@@ -29,7 +29,7 @@ from labelgen.calibration.vehicle_fit.settings import VehicleFitSettings
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array
-from labelgen.geometry.vehicle_bodies import Body, common_bodies
+from labelgen.geometry.vehicle_bodies import common_bodies
 
 __all__ = ["ModelScaleSettings", "scale_from_models"]
 
@@ -89,7 +89,6 @@ def scale_from_models(
     camera: Camera,
     silhouettes: Sequence[VehicleSilhouette],
     *,
-    bodies: Sequence[Body] | None = None,
     seed: int = 0,
     settings: ModelScaleSettings | None = None,
 ) -> ScaleEstimate:
@@ -98,7 +97,6 @@ def scale_from_models(
     Args:
         camera: with the frame's size; its scale is not used.
         silhouettes: of vehicles that drive along VP1, as many as there are.
-        bodies: the types in traffic; `common_bodies` by default.
         seed: of the resampling.
         settings: thresholds.
 
@@ -117,7 +115,7 @@ def scale_from_models(
             f"scale: {count} silhouettes of vehicles are large and whole enough to fit models to, at least {least} are "
             f"needed; {USE_DISTANCE}"
         )
-    hypotheses = BodyHypotheses.from_bodies(common_bodies() if bodies is None else bodies)
+    hypotheses = BodyHypotheses.from_bodies(common_bodies())
     fitted = _fit_sizes(unit, measured, hypotheses, settings)
     guess = measured.guess_log_size(settings.fit)
     grid = np.linspace(settings.min_log_size, settings.max_log_size, settings.size_steps)

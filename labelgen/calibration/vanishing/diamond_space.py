@@ -19,26 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from labelgen.geometry.homography import Array
 
-__all__ = ["accumulate", "diamond_points", "peak", "plane_points"]
+__all__ = ["accumulate", "peak"]
 
 RESOLUTION = 160
 """Cells from the middle of the diamond to its corner; more part lines that meet, fewer merge points."""
-
-
-def diamond_points(points: ArrayLike) -> Array:
-    """Return the diamond coordinates (u, v), (..., 2), |u| + |v| <= 1, of homogeneous points (..., 3)."""
-    pts = np.asarray(points, dtype=np.float64)
-    sign = np.where(pts[..., 1] > 0, -1.0, 1.0)
-    out: Array = pts[..., [2, 0]] * (sign / np.abs(pts).sum(axis=-1))[..., None]
-    return out
-
-
-def plane_points(diamond: ArrayLike) -> Array:
-    """Return the homogeneous points (..., 3), of unit length, at diamond coordinates (..., 2)."""
-    uv = np.asarray(diamond, dtype=np.float64)
-    points = np.stack([uv[..., 1], np.abs(uv).sum(axis=-1) - 1, uv[..., 0]], axis=-1)
-    out: Array = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    return out
 
 
 def accumulate(lines: ArrayLike, weights: ArrayLike | None = None, resolution: int = RESOLUTION) -> NDArray[np.float64]:
@@ -75,20 +59,20 @@ def accumulate(lines: ArrayLike, weights: ArrayLike | None = None, resolution: i
     return total.reshape(side, side)
 
 
-def peak(votes: NDArray[np.float64], allowed: NDArray[np.bool_] | None = None) -> tuple[Array, float]:
+def peak(votes: NDArray[np.float64], smoothing_cells: float = 1.0) -> tuple[Array, float]:
     """Return the point that most lines pass, and its votes.
 
     Args:
-        votes: from `accumulate`; smoothed here by a Gaussian of one cell, so that lines need not meet in one cell.
-        allowed: (same shape) the cells to choose from.
+        votes: from `accumulate`.
+        smoothing_cells: standard deviation of the Gaussian that smooths the votes, so that lines need not meet in one
+            cell.
 
     Returns:
         (3,) homogeneous point of unit length, and the smoothed votes there.
     """
-    smooth = cv2.GaussianBlur(votes, (0, 0), 1.0)
-    if allowed is not None:
-        smooth = np.where(allowed, smooth, -1.0)
+    smooth = cv2.GaussianBlur(votes, (0, 0), smoothing_cells)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
     resolution = votes.shape[0] // 2
-    uv = (np.array([column, row], dtype=np.float64) - resolution) / resolution
-    return plane_points(uv), float(smooth[row, column])
+    u, v = (np.array([column, row], dtype=np.float64) - resolution) / resolution
+    point = np.array([v, abs(u) + abs(v) - 1, u])
+    return point / np.linalg.norm(point), float(smooth[row, column])

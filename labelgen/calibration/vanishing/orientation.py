@@ -16,7 +16,7 @@ from labelgen.calibration.confidence import (
 )
 from labelgen.calibration.observation.collect import Observations
 from labelgen.calibration.vanishing.curvature import CurvatureSettings, estimate_curvature_deg
-from labelgen.calibration.vanishing.resampling import ResamplingSettings, resampled_spread
+from labelgen.calibration.vanishing.resampling import EdgeSample, ResamplingSettings, TrackSample, resampled_spread
 from labelgen.calibration.vanishing.track_lines import TrackLines, TrackLineSettings, track_lines
 from labelgen.calibration.vanishing.vehicle_groups import VehicleGroupSettings, group_vehicles, outer_tracks
 from labelgen.calibration.vanishing.vp1 import Vp1Settings, estimate_vp1, refine_vp1
@@ -136,20 +136,14 @@ def estimate_orientation(
     unit = settings.unit_widths * max(width, height)
     numbers, lines = _usable_lines(observations, centre, unit, settings)
     check_observations(name, observations, len(lines), len(lines), settings.confidence)
-    first = estimate_vp1(lines, settings=settings.vp1)
-    vehicles = group_vehicles(
-        [observations.tracks[k] for k in numbers],
-        _horizon_px(first.direction, centre, unit),
-        settings.groups.min_depth * unit,
-        settings.groups,
-    )
+    rough_vp1 = estimate_vp1(lines, settings=settings.vp1).direction
+    tracks = [observations.tracks[k] for k in numbers]
+    min_depth_px = settings.groups.min_depth * unit
+    vehicles = group_vehicles(tracks, _horizon_px(rough_vp1, centre, unit), min_depth_px, settings.groups)
     count = _count_vehicles(vehicles, lines, settings.min_track_length)
     check_observations(name, observations, len(lines), count, settings.confidence)
-    weights: Array = np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5
-    outer = outer_tracks(lines, first.direction, vehicles, settings.groups)
-    if np.count_nonzero(outer) >= settings.min_outer_tracks:
-        weights = weights * np.where(outer, 1.0, settings.inner_weight)
-    vp1 = refine_vp1(lines, first.direction, vehicles, weights, settings.vp1)
+    weights = _track_weights(lines, rough_vp1, vehicles, settings)
+    vp1 = refine_vp1(lines, rough_vp1, vehicles, weights, settings.vp1)
     along_share = float(np.average(vp1.inliers, weights=weights * lines.length))
     curvature_deg = estimate_curvature_deg(lines, vp1, weights, settings.curvature)
     check_vp1(name, along_share, curvature_deg, settings.confidence)
@@ -161,19 +155,9 @@ def estimate_orientation(
     check_vp2(name, vp2.support, vp2.support_share, float(np.degrees(vp2.tilt_sd)), settings.confidence)
     inputs = OrientationInputs(unit, width / unit, numbers, vehicles, road, edges, power, vp2, settings.vp2)
     spread = resampled_spread(
-        lines,
-        vehicles,
-        weights,
-        edges,
-        observations.edgelets[:, 4],
-        vp1,
-        vp2,
-        road=road,
-        width=width / unit,
-        likelihood_power=power,
-        vp1_settings=settings.vp1,
-        vp2_settings=settings.vp2,
-        settings=settings.resampling,
+        TrackSample(lines, vehicles, weights, vp1, settings.vp1),
+        EdgeSample(edges, observations.edgelets[:, 4], road, width / unit, power, vp2, settings.vp2),
+        settings.resampling,
     )
     evidence = CalibrationEvidence(
         vehicles=count,
@@ -226,6 +210,15 @@ def _usable_lines(
     max_scatter = settings.max_scatter_share * lines.length + settings.scatter_px * lines.pixel
     usable = (lines.length > settings.min_track_length) & (lines.scatter < max_scatter)
     return np.flatnonzero(usable), lines[usable]
+
+
+def _track_weights(lines: TrackLines, vp1: Array, vehicles: NDArray[np.int64], settings: OrientationSettings) -> Array:
+    """Return the importance (N,) of tracks: vehicles with many do not count more in proportion."""
+    weights = np.asarray(np.bincount(vehicles)[vehicles].astype(np.float64) ** -0.5)
+    outer = outer_tracks(lines, vp1, vehicles, settings.groups)
+    if np.count_nonzero(outer) >= settings.min_outer_tracks:
+        weights = weights * np.where(outer, 1.0, settings.inner_weight)
+    return weights
 
 
 def _horizon_px(vp1: Array, pp: Array, unit: float) -> float:

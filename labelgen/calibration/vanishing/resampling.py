@@ -15,7 +15,7 @@ from labelgen.calibration.vanishing.vp1 import Vp1Estimate, Vp1Settings, refine_
 from labelgen.calibration.vanishing.vp2 import NormalizedEdges, Vp2Estimate, Vp2Settings, estimate_vp2
 from labelgen.geometry.homography import Array
 
-__all__ = ["OrientationSpread", "ResamplingSettings", "resampled_spread"]
+__all__ = ["EdgeSample", "OrientationSpread", "ResamplingSettings", "TrackSample", "resampled_spread"]
 
 
 @dataclass(frozen=True)
@@ -51,37 +51,57 @@ class OrientationSpread:
     log_focal: float
 
 
-def resampled_spread(
-    lines: TrackLines,
-    vehicles: NDArray[np.int64],
-    weights: Array,
-    edges: NormalizedEdges,
-    edge_times_s: Array,
-    vp1: Vp1Estimate,
-    vp2: Vp2Estimate,
-    *,
-    road: Array,
-    width: float,
-    likelihood_power: float,
-    vp1_settings: Vp1Settings,
-    vp2_settings: Vp2Settings,
-    settings: ResamplingSettings,
-) -> OrientationSpread:
-    """Repeat the estimate on resampled stretches of time and return its spreads.
+@dataclass(frozen=True, eq=False)
+class TrackSample:
+    """N tracks and the estimate from all of them.
 
     Args:
-        lines: N tracks.
+        lines: the tracks.
         vehicles, weights: (N,) number of each track's vehicle, and its importance.
-        edges, edge_times_s: M edges, and their times (M,), seconds.
-        vp1, vp2: estimates from all of them, near which the resamples' are searched.
+        vp1: from all tracks; the resamples start there.
+        settings: of the estimate.
+    """
+
+    lines: TrackLines
+    vehicles: NDArray[np.int64]
+    weights: Array
+    vp1: Vp1Estimate
+    settings: Vp1Settings
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeSample:
+    """M edges and the estimate from all of them.
+
+    Args:
+        edges: of vehicles.
+        times_s: (M,) seconds.
         road, width, likelihood_power: see `estimate_vp2`.
-        vp1_settings, vp2_settings: of the estimates.
+        vp2: from all edges; the resamples are searched near it.
+        settings: of the estimate.
+    """
+
+    edges: NormalizedEdges
+    times_s: Array
+    road: Array
+    width: float
+    likelihood_power: float
+    vp2: Vp2Estimate
+    settings: Vp2Settings
+
+
+def resampled_spread(tracks: TrackSample, edges: EdgeSample, settings: ResamplingSettings) -> OrientationSpread:
+    """Repeat the estimates on resampled stretches of time and return their spreads.
+
+    Args:
+        tracks, edges: from the same pass over a video.
         settings: of the resampling.
     """
-    thin = np.arange(len(edges))[:: max(1, len(edges) // settings.max_edges)]
-    thin_edges = edges[thin]
-    power = likelihood_power * (len(edges) / max(len(thin), 1))
-    edge_blocks = (edge_times_s[thin] / settings.block_s).astype(np.int64)
+    lines, focal = tracks.lines, edges.vp2.focal
+    thin = np.arange(len(edges.edges))[:: max(1, len(edges.edges) // settings.max_edges)]
+    thin_edges = edges.edges[thin]
+    power = edges.likelihood_power * (len(edges.edges) / max(len(thin), 1))
+    edge_blocks = (edges.times_s[thin] / settings.block_s).astype(np.int64)
     track_blocks = (lines.time_s / settings.block_s).astype(np.int64)
     blocks = np.unique(np.concatenate([edge_blocks, track_blocks]))
     rng = np.random.default_rng(0)
@@ -92,22 +112,23 @@ def resampled_spread(
         if np.count_nonzero(times) < settings.min_tracks:
             continue
         used = times > 0
-        new_vp1 = refine_vp1(lines[used], vp1.direction, vehicles[used], (weights * times)[used], vp1_settings)
+        weights = (tracks.weights * times)[used]
+        vp1 = refine_vp1(lines[used], tracks.vp1.direction, tracks.vehicles[used], weights, tracks.settings)
         repeated = np.repeat(np.arange(len(thin_edges)), drawn[np.searchsorted(blocks, edge_blocks)])
-        new_vp2 = estimate_vp2(
+        vp2 = estimate_vp2(
             thin_edges[repeated],
-            new_vp1.direction,
-            width,
-            road=road,
+            vp1.direction,
+            edges.width,
+            road=edges.road,
             likelihood_power=power,
-            around=vp2,
-            settings=vp2_settings,
+            around=edges.vp2,
+            settings=edges.settings,
         )
-        rows.append((*_ray(new_vp1.direction, vp2.focal), new_vp2.tilt, np.log(new_vp2.focal)))
+        rows.append((*_ray(vp1.direction, focal), vp2.tilt, np.log(vp2.focal)))
     if len(rows) < settings.min_resamples:
-        return OrientationSpread(settings.unknown_vp1_deg, vp2.tilt_sd, vp2.focal_sd)
+        return OrientationSpread(settings.unknown_vp1_deg, edges.vp2.tilt_sd, edges.vp2.focal_sd)
     table = np.array(rows)
-    angles = np.degrees(np.arccos(np.clip(np.abs(table[:, :3] @ _ray(vp1.direction, vp2.focal)), 0, 1)))
+    angles = np.degrees(np.arccos(np.clip(np.abs(table[:, :3] @ _ray(tracks.vp1.direction, focal)), 0, 1)))
     return OrientationSpread(float(np.sqrt((angles**2).mean())), float(table[:, 3].std()), float(table[:, 4].std()))
 
 

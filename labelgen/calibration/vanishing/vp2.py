@@ -190,19 +190,9 @@ def estimate_vp2(
     edges = edges[_angles(edges, vp1) > np.radians(settings.along_deg) + 2 * edges.deviation]
     coarse = np.arange(len(edges))[:: max(1, len(edges) // settings.coarse_edges)]
     fine = settings.fine_steps
-    if around is None:
-        rounds = settings.rounds
-        low, high = _tilt_range(vp1, settings)
-        tilts = np.linspace(low, high, settings.tilt_steps)
-        focals = width * np.geomspace(settings.min_focal_widths, settings.max_focal_widths, settings.focal_steps)
-    else:
-        rounds = 1
-        tilt_reach = max(settings.local_reach_sd * around.tilt_sd, np.radians(settings.min_local_tilt_deg))
-        focal_reach = max(settings.local_reach_sd * around.focal_sd, settings.min_local_log_focal)
-        tilts = around.tilt + np.linspace(-1, 1, fine) * tilt_reach
-        focals = around.focal * np.exp(np.linspace(-1, 1, fine) * focal_reach)
+    tilts, focals = _first_grid(vp1, width, around, settings)
     best = None
-    for _ in range(rounds):
+    for _ in range(settings.rounds if around is None else 1):
         grid_tilt, grid_focal = np.meshgrid(tilts, focals, indexing="ij")
         used = edges[coarse] if best is None else edges
         score = _log_prior(grid_tilt, grid_focal / width, settings)
@@ -231,6 +221,18 @@ def estimate_vp2(
     chance = settings.support_deg / 90
     support_share = float(near.mean()) - chance if len(edges) else 0.0
     return Vp2Estimate(*mean, *spread, support_share * len(edges), support_share)
+
+
+def _first_grid(vp1: Array, width: float, around: Vp2Estimate | None, settings: Vp2Settings) -> tuple[Array, Array]:
+    """Return the tilts (T,), rad, and focal lengths (F,), units, of the coarse grid, or of the one around an answer."""
+    if around is None:
+        low, high = _tilt_range(vp1, settings)
+        focals = np.geomspace(settings.min_focal_widths, settings.max_focal_widths, settings.focal_steps)
+        return np.linspace(low, high, settings.tilt_steps), width * focals
+    tilt_reach = max(settings.local_reach_sd * around.tilt_sd, np.radians(settings.min_local_tilt_deg))
+    focal_reach = max(settings.local_reach_sd * around.focal_sd, settings.min_local_log_focal)
+    steps = np.linspace(-1, 1, settings.fine_steps)
+    return around.tilt + steps * tilt_reach, around.focal * np.exp(steps * focal_reach)
 
 
 def _log_prior(tilt: Array, focal_widths: Array, settings: Vp2Settings) -> Array:

@@ -1,0 +1,1 @@
+"""Instance masks by background subtraction: model, foreground, silhouettes."""

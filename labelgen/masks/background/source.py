@@ -14,7 +14,7 @@ from labelgen.geometry.road_mask import binary_mask
 from labelgen.labels import VehicleClass
 from labelgen.masks.background.model import BackgroundModel
 from labelgen.masks.background.silhouettes import Silhouette, find_silhouettes
-from labelgen.masks.instances import InstanceMasks, crop_mask
+from labelgen.masks.instances import Crop, InstanceMasks, crop_mask
 
 __all__ = ["WORKING_WIDTH", "BackgroundMasks"]
 
@@ -99,23 +99,16 @@ class BackgroundMasks:
         if self._model.background is None:
             return InstanceMasks.empty(frame_wh)
         aligned, shift = self._model.align(small)
-        origins, crops, scores = [], [], []
+        crops, scores = [], []
         for silhouette in find_silhouettes(aligned, self._model):
             if silhouette.score < self._score_threshold:
                 continue
-            part = _to_frame(silhouette, shift, (small.shape[1], small.shape[0]), frame_wh)
-            if part is None or not self._is_on_road(*part):
+            crop = _to_frame(silhouette, shift, (small.shape[1], small.shape[0]), frame_wh)
+            if crop is None or not self._is_on_road(*crop):
                 continue
-            origins.append(part[0])
-            crops.append(part[1])
+            crops.append(crop)
             scores.append(silhouette.score)
-        return InstanceMasks(
-            frame_wh,
-            np.array(origins, dtype=np.int64).reshape(-1, 2),
-            tuple(crops),
-            np.full(len(crops), VehicleClass.VEHICLE, dtype=np.uint8),
-            np.array(scores, dtype=np.float32),
-        )
+        return InstanceMasks.from_crops(frame_wh, crops, [VehicleClass.VEHICLE] * len(crops), scores)
 
     def _is_on_road(self, origin: tuple[int, int], crop: NDArray[np.bool_]) -> bool:
         if self._road is None:
@@ -131,8 +124,8 @@ class BackgroundMasks:
 
 def _to_frame(
     silhouette: Silhouette, shift: tuple[int, int], small_wh: tuple[int, int], frame_wh: tuple[int, int]
-) -> tuple[tuple[int, int], NDArray[np.bool_]] | None:
-    """Map a silhouette of a resized and shifted image to the frame: origin and crop; None where it lies outside."""
+) -> Crop | None:
+    """Map a silhouette of a resized and shifted image to the frame; None where it lies outside."""
     x, y = (o - s for o, s in zip(silhouette.origin, shift, strict=True))
     h, w = silhouette.crop.shape
     cut = silhouette.crop[max(0, -y) : small_wh[1] - y, max(0, -x) : small_wh[0] - x]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from detector.data.augment import (
     AugmentationRanges,
     AxisAlignedAffine,
-    Target,
+    TrainingTarget,
     clip_to_image,
     jitter_color,
     sample_affine,
@@ -23,8 +23,8 @@ from labelgen.labels import Flag, Labels
 SIZE = (160, 96)
 
 
-def target(boxes: list[list[float]], cc: list[float]) -> Target:
-    return Target(np.array(boxes), np.array(cc), np.ones(len(cc), dtype=np.bool_))
+def target(boxes: list[list[float]], cc: list[float]) -> TrainingTarget:
+    return TrainingTarget(np.array(boxes), np.array(cc), np.ones(len(cc), dtype=np.bool_))
 
 
 @settings(max_examples=40, deadline=None)
@@ -61,7 +61,7 @@ def test_picture_and_boxes_move_together(scale: tuple[float, float]) -> None:
     image[30:70, 40:100] = 200
     shift = (100.0 if scale[0] > 0 else 150.0, 7.0) if abs(scale[0]) < 1 or scale[0] < 0 else (-20.0, -15.0)
     move = AxisAlignedAffine(scale, shift)
-    bright = move.image(image, SIZE)[:, :, 0] >= 100
+    bright = move.warp_image(image, SIZE)[:, :, 0] >= 100
     ys, xs = np.nonzero(bright)
     seen = [xs.min(), ys.min(), xs.max() + 1, ys.max() + 1]
     wanted = np.clip(move.boxes([[40, 30, 100, 70]])[0], 0, [160, 96, 160, 96])
@@ -71,7 +71,7 @@ def test_picture_and_boxes_move_together(scale: tuple[float, float]) -> None:
 def test_a_flip_of_the_whole_picture_is_exact() -> None:
     image = np.random.default_rng(0).integers(0, 255, (96, 160, 3), np.uint8)
     move = AxisAlignedAffine((-1.0, 1.0), (160.0, 0.0))
-    np.testing.assert_array_equal(move.image(image, SIZE), image[:, ::-1])
+    np.testing.assert_array_equal(move.warp_image(image, SIZE), image[:, ::-1])
     np.testing.assert_array_equal(move.boxes([[10, 20, 30, 40]]), [[130, 20, 150, 40]])
 
 
@@ -101,7 +101,7 @@ def test_what_is_all_but_gone_goes(box: list[float]) -> None:
 
 def test_cc_of_truncated_labels_is_not_learnt_from() -> None:
     labels = Labels([[0, 0, 10, 10], [20, 20, 40, 40]], [0.4, 0.6], flags=[Flag.TRUNCATED.value, 0])
-    found = Target.of(labels)
+    found = TrainingTarget.from_labels(labels)
     assert found.cc_known.tolist() == [False, True]
     assert found.cc.tolist() == [0.0, 0.6]
 

@@ -92,13 +92,13 @@ def test_processes_of_one_training_share_out_each_step() -> None:
 def test_every_sample_comes_once_in_a_pass(folders: dict[str, Path]) -> None:
     data = samples([folders["a"], folders["b"]])
     for start in (0, 10, 20):
-        assert len({data.which(k) for k in range(start, start + 10)}) == 10
-    assert [data.which(k) for k in range(10)] != [data.which(k) for k in range(10, 20)]
+        assert len({data.locate(k) for k in range(start, start + 10)}) == 10
+    assert [data.locate(k) for k in range(10)] != [data.locate(k) for k in range(10, 20)]
 
 
 def test_weights_set_the_mixture(folders: dict[str, Path]) -> None:
     data = samples([f"{folders['a']}:3", f"{folders['crops']}:1"])
-    drawn = [data.which(k) for k in range(11 * 8)]
+    drawn = [data.locate(k) for k in range(11 * 8)]
     shares = Counter(source for source, _ in drawn)
     assert shares[0] / len(drawn) == pytest.approx(0.75, abs=0.03)
     # Each source goes through all its samples before it repeats one.
@@ -108,7 +108,7 @@ def test_weights_set_the_mixture(folders: dict[str, Path]) -> None:
 
 def test_crops_are_put_on_black(folders: dict[str, Path]) -> None:
     data = samples([folders["a"], folders["crops"]])
-    number = next(k for k in range(50) if data.which(k)[0] == 1)
+    number = next(k for k in range(50) if data.locate(k)[0] == 1)
     image, labels, _ = data[number]
     assert image.shape == (3, SIZE[1], SIZE[0])
     assert (image == 0).float().mean() > 0.3

@@ -1,4 +1,4 @@
-"""What a training begins with: checkpoints and torchvision's own files of weights."""
+"""Weights to start training from: checkpoints and torchvision's own files."""
 
 from __future__ import annotations
 
@@ -77,5 +77,5 @@ def test_weights_that_fit_nowhere(state: Callable[[], Any], message: str) -> Non
     ours = model()
     before = {key: value.clone() for key, value in ours.state_dict().items()}
     with pytest.raises(DataError, match=message):
-        load_pretrained(ours, state(), "--weights x")
+        load_pretrained(ours, state(), "weights x")
     assert same(ours.state_dict(), before, list(before))

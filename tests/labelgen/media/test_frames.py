@@ -22,7 +22,7 @@ REAL = os.environ.get("LABELGEN_REAL_DATA")
 
 
 def picture(number: int, size_wh: tuple[int, int] = (64, 48)) -> np.ndarray:
-    """Frame whose grey level tells its number and whose top left quarter is bright."""
+    """Draw a frame whose grey level encodes its number and whose top left quarter is bright."""
     image = np.full((size_wh[1], size_wh[0], 3), min(20 + 7 * number, 250), dtype=np.uint8)
     image[: size_wh[1] // 2, : size_wh[0] // 2] = 220
     return image
@@ -57,7 +57,7 @@ def write_video(
 
 
 def level(image: np.ndarray) -> float:
-    """Frame number from the picture's bottom right."""
+    """Decode the frame number from the picture's bottom right."""
     return (float(image[-8:, -8:].mean()) - 20) / 7
 
 
@@ -75,6 +75,7 @@ def test_reads_every_frame_in_order_with_its_time(tmp_path: Path, suffix: str) -
     assert frames[0].image.shape == (48, 64, 3)
     assert frames[0].image.dtype == np.uint8
     assert source.problems == []
+    assert (source.is_live, source.failure) == (False, None)
 
 
 def test_gives_only_wanted_frames_and_can_be_read_twice(tmp_path: Path) -> None:
@@ -229,6 +230,7 @@ def test_real_videos(name: str, count: int, last_s: float) -> None:
     assert [f.time_s for f in frames] == pytest.approx([0, last_s])
     assert source.frame_count == count
     assert source.problems == []
+    assert (source.is_live, source.failure) == (False, None)
 
 
 # -- folders of images ------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from stream_server import serve_stream
 
 from labelgen.errors import DataError
 from labelgen.media.stream import VideoStream, is_stream_url
+from labelgen.media.timed_frames import TimedFrames
 
 
 def recording(path: Path, times_s: list[float], size_wh: tuple[int, int] = (64, 48)) -> bytes:
@@ -46,6 +47,7 @@ def test_a_stream_that_ends(tmp_path: Path) -> None:
     assert len(frames) >= 48
     assert [f.time_s for f in frames] == pytest.approx(STEADY[: len(frames)], abs=1e-3)
     assert frames[0].image.shape == (48, 64, 3)
+    assert stream.is_live
     assert stream.failure is None
     assert "ended after" in stream.problems[0]
 
@@ -71,6 +73,8 @@ def test_a_stream_that_stalls(tmp_path: Path) -> None:
         frames = list(stream.frames())
     assert len(frames) >= 40
     assert "stalled, no data for 0.5 s" in str(stream.failure)
+    assert TimedFrames(stream).failure is stream.failure
+    assert TimedFrames(stream).is_live
 
 
 def test_a_stream_that_drops_frames(tmp_path: Path) -> None:

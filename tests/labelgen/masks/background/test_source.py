@@ -1,4 +1,4 @@
-"""Background masks on drawn traffic with known silhouettes, and a look at the real videos."""
+"""Background masks on drawn traffic with known silhouettes, and on real videos."""
 
 from __future__ import annotations
 
@@ -72,74 +72,74 @@ def primed(**options: object) -> MaskSource:
 
 
 @pytest.fixture(scope="module")
-def seen_road() -> MaskSource:
-    """A source that has learnt the road; for tests that only ask it for masks, which changes nothing."""
+def primed_source() -> MaskSource:
+    """A source primed with the road; for tests that only ask it for masks, which leaves its state as it is."""
     return primed()
 
 
-def look(source: MaskSource, image: np.ndarray) -> InstanceMasks:
+def masks_of(source: MaskSource, image: np.ndarray) -> InstanceMasks:
     return source.masks([image], [0], [""])[0]
 
 
 @pytest.mark.parametrize("colour", [(30, 30, 190), (230, 230, 230), (35, 35, 35), (150, 90, 40)])
 @pytest.mark.parametrize("box", [(300, 100, 340, 132), (240, 180, 330, 260), (120, 20, 145, 40)])
-def test_finds_a_vehicle_and_its_outline(seen_road: MaskSource, colour: tuple[int, int, int], box: Box) -> None:
-    found = look(seen_road, noisy(drive(road(), box, colour), 900))
+def test_finds_a_vehicle_and_its_outline(primed_source: MaskSource, colour: tuple[int, int, int], box: Box) -> None:
+    masks = masks_of(primed_source, noisy(drive(road(), box, colour), 900))
     # A pixel more or less all around is 0.84 of the smallest box.
-    assert max(iou(found, box), default=0) > (0.8 if box[2] - box[0] > 30 else 0.7)
-    assert len(found) == 1
-    assert found.class_ids.tolist() == [VehicleClass.VEHICLE]
-    assert 0.5 <= found.scores[0] <= 1
+    assert max(iou(masks, box), default=0) > (0.8 if box[2] - box[0] > 30 else 0.7)
+    assert len(masks) == 1
+    assert masks.class_ids.tolist() == [VehicleClass.VEHICLE]
+    assert 0.5 <= masks.scores[0] <= 1
 
 
-def test_empty_road_gives_nothing(seen_road: MaskSource) -> None:
+def test_empty_road_gives_nothing(primed_source: MaskSource) -> None:
     for seed in range(5):
-        assert len(look(seen_road, noisy(road(), 500 + seed))) == 0
+        assert len(masks_of(primed_source, noisy(road(), 500 + seed))) == 0
 
 
-def test_another_scene_is_no_traffic(seen_road: MaskSource) -> None:
+def test_another_scene_is_no_traffic(primed_source: MaskSource) -> None:
     rng = np.random.default_rng(3)
     patches = cv2.resize(rng.integers(0, 256, (9, 16, 3), dtype=np.uint8), WH, interpolation=cv2.INTER_NEAREST)
     for scene in (rng.integers(0, 256, (WH[1], WH[0], 3), dtype=np.uint8), np.asarray(patches)):
-        assert len(look(seen_road, scene)) == 0
+        assert len(masks_of(primed_source, scene)) == 0
 
 
-def test_cast_shadow_is_left_out(seen_road: MaskSource) -> None:
+def test_cast_shadow_is_left_out(primed_source: MaskSource) -> None:
     box = (300, 150, 380, 220)
-    found = look(seen_road, noisy(drive(road(), box, (40, 160, 220), shadow=True), 1))
-    assert len(found) == 1
-    assert iou(found, box)[0] > 0.8
-    assert found.boxes_xyxy[0, 2] < box[2] + 12
+    masks = masks_of(primed_source, noisy(drive(road(), box, (40, 160, 220), shadow=True), 1))
+    assert len(masks) == 1
+    assert iou(masks, box)[0] > 0.8
+    assert masks.boxes_xyxy[0, 2] < box[2] + 12
 
 
 @pytest.mark.parametrize("colour", [(230, 230, 230), (150, 90, 40), (45, 45, 45), (140, 140, 140)])
-def test_shade_under_a_grey_sky_is_left_out(seen_road: MaskSource, colour: tuple[int, int, int]) -> None:
+def test_shade_under_a_grey_sky_is_left_out(primed_source: MaskSource, colour: tuple[int, int, int]) -> None:
     x0, y0, x1, y1 = box = (290, 150, 370, 220)
     # What the vehicle hides of the sky makes the road around its foot darker, the less the farther away.
     away = np.ones((WH[1], WH[0]), dtype=np.uint8)
     away[(y0 + y1) // 2 : y1, x0:x1] = 0
     distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
     shaded = (road() * (1 - 0.6 * np.exp(-distance / 16))[..., None]).astype(np.uint8)
-    found = look(seen_road, noisy(drive(shaded, box, colour), 7))
-    assert max(iou(found, box), default=0) > 0.85
-    assert len(found) == 1
-    assert found.boxes_xyxy[0] == pytest.approx(box, abs=6)
+    masks = masks_of(primed_source, noisy(drive(shaded, box, colour), 7))
+    assert max(iou(masks, box), default=0) > 0.85
+    assert len(masks) == 1
+    assert masks.boxes_xyxy[0] == pytest.approx(box, abs=6)
 
 
-def test_two_vehicles_side_by_side_stay_two(seen_road: MaskSource) -> None:
+def test_two_vehicles_side_by_side_stay_two(primed_source: MaskSource) -> None:
     one, two = (250, 150, 310, 200), (318, 150, 378, 200)
-    found = look(seen_road, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 2))
-    assert len(found) == 2
-    assert max(iou(found, one)) > 0.75
-    assert max(iou(found, two)) > 0.75
+    masks = masks_of(primed_source, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 2))
+    assert len(masks) == 2
+    assert max(iou(masks, one)) > 0.75
+    assert max(iou(masks, two)) > 0.75
 
 
-def test_two_that_touch_at_a_corner_are_cut(seen_road: MaskSource) -> None:
+def test_two_that_touch_at_a_corner_are_cut(primed_source: MaskSource) -> None:
     one, two = (250, 100, 310, 150), (305, 146, 365, 200)
-    found = look(seen_road, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 3))
-    assert len(found) == 2
-    assert max(iou(found, one)) > 0.7
-    assert max(iou(found, two)) > 0.7
+    masks = masks_of(primed_source, noisy(drive(drive(road(), one, (200, 60, 40)), two, (230, 230, 230)), 3))
+    assert len(masks) == 2
+    assert max(iou(masks, one)) > 0.7
+    assert max(iou(masks, two)) > 0.7
 
 
 def test_vehicles_must_stand_on_the_road() -> None:
@@ -147,9 +147,9 @@ def test_vehicles_must_stand_on_the_road() -> None:
     mask[:, 320:] = 255
     source = primed(road_mask=mask)
     on, off = (400, 100, 460, 150), (150, 100, 210, 150)
-    found = look(source, noisy(drive(drive(road(), on, (30, 30, 190)), off, (30, 30, 190)), 4))
-    assert len(found) == 1
-    assert iou(found, on)[0] > 0.8
+    masks = masks_of(source, noisy(drive(drive(road(), on, (30, 30, 190)), off, (30, 30, 190)), 4))
+    assert len(masks) == 1
+    assert iou(masks, on)[0] > 0.8
 
 
 def test_road_mask_of_another_size_is_refused() -> None:
@@ -166,8 +166,8 @@ def test_masks_change_nothing_and_repeat() -> None:
         for frame in frames:
             source.observe(frame)
             if asked:
-                look(source, frame)
-        results.append(look(source, frames[12]))
+                masks_of(source, frame)
+        results.append(masks_of(source, frames[12]))
     assert results[0].origins.tolist() == results[1].origins.tolist()
     for one, two in zip(results[0].crops, results[1].crops, strict=True):
         np.testing.assert_array_equal(one, two)
@@ -180,8 +180,8 @@ def test_follows_the_light() -> None:
         darker = np.clip(road() * (1 - 0.01 * step), 0, 255)
         source.observe(noisy(darker, step))
     scene = np.clip(road() * 0.6, 0, 255).astype(np.uint8)
-    assert len(look(source, noisy(scene, 77))) == 0
-    assert max(iou(look(source, noisy(drive(scene, box, (30, 30, 190)), 78)), box), default=0) > 0.75
+    assert len(masks_of(source, noisy(scene, 77))) == 0
+    assert max(iou(masks_of(source, noisy(drive(scene, box, (30, 30, 190)), 78)), box), default=0) > 0.75
 
 
 def test_ghost_of_a_vehicle_that_left_is_no_mask_and_is_forgotten() -> None:
@@ -189,10 +189,10 @@ def test_ghost_of_a_vehicle_that_left_is_no_mask_and_is_forgotten() -> None:
     parked = drive(road(), box, (30, 30, 190))
     source = create_mask_source("background")
     source.prime(noisy(parked, i) for i in range(20))
-    assert len(look(source, noisy(road(), 50))) == 0
+    assert len(masks_of(source, noisy(road(), 50))) == 0
     for i in range(30):
         source.observe(noisy(road(), 60 + i))
-    back = look(source, noisy(parked, 99))
+    back = masks_of(source, noisy(parked, 99))
     assert max(iou(back, box), default=0) > 0.75
 
 
@@ -205,25 +205,25 @@ def test_swaying_camera() -> None:
 
     source = create_mask_source("background")
     source.prime(noisy(moved(scene, i % 5 - 2, i % 3 - 1), i) for i in range(30))
-    assert len(look(source, noisy(moved(scene, 5, -4), 40))) == 0
+    assert len(masks_of(source, noisy(moved(scene, 5, -4), 40))) == 0
     image = drive(moved(scene, 5, -4), box, (30, 30, 190))
-    found = look(source, noisy(image, 41))
-    assert len(found) == 1
-    assert iou(found, box)[0] > 0.8
+    masks = masks_of(source, noisy(image, 41))
+    assert len(masks) == 1
+    assert iou(masks, box)[0] > 0.8
 
 
-def test_sway_is_undone_look_after_look() -> None:
+def test_sway_is_undone_frame_after_frame() -> None:
     scene = cv2.copyMakeBorder(road(), 8, 8, 8, 8, cv2.BORDER_REFLECT)
     box = (240, 120, 400, 240)  # it hides the middle, which only what lies around can make up for
 
-    def look_at(i: int, vehicle: bool = False) -> np.ndarray:
+    def frame_at(i: int, vehicle: bool = False) -> np.ndarray:
         dx, dy = (3, -4) if i % 2 else (-5, 2)
         image = scene[8 + dy : 368 + dy, 8 + dx : 648 + dx]
         return noisy(drive(image, box, (30, 30, 190)) if vehicle else image, i)
 
     source = create_mask_source("background")
-    source.prime(look_at(i) for i in range(20))
-    shares = [iou(look(source, look_at(i, vehicle=True)), box) for i in range(40)]
+    source.prime(frame_at(i) for i in range(20))
+    shares = [iou(masks_of(source, frame_at(i, vehicle=True)), box) for i in range(40)]
     assert [len(share) for share in shares] == [1] * 40
     assert min(share[0] for share in shares) > 0.8
 
@@ -239,9 +239,9 @@ def test_slivers_and_thumbnails_do_no_harm(size_wh: tuple[int, int]) -> None:
         image = noisy(scene, 10 + i)
         image[h // 4 : h // 4 + max(1, h // 3), i % w : i % w + max(1, w // 3)] = rng.integers(0, 255, 3)
         source.observe(image)
-        found = look(source, image)
-        assert found.frame_wh == size_wh
-        assert all(found.full(j).shape == (h, w) for j in range(len(found)))
+        masks = masks_of(source, image)
+        assert masks.frame_wh == size_wh
+        assert all(masks.full(j).shape == (h, w) for j in range(len(masks)))
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
@@ -252,21 +252,21 @@ def test_works_at_any_size(factor: float) -> None:
     box = (300, 200, 380, 360)  # cut off by the frame's lower border
     source = create_mask_source("background")
     source.prime(sized(frame) for frame in traffic(road(), 20))
-    found = look(source, sized(noisy(drive(road(), box, (30, 30, 190)), 9)))
+    masks = masks_of(source, sized(noisy(drive(road(), box, (30, 30, 190)), 9)))
     scaled = tuple(int(v * factor) for v in box)
-    assert found.frame_wh == (int(640 * factor), int(360 * factor))
-    assert max(iou(found, scaled), default=0) > 0.8  # type: ignore[arg-type]
-    assert found.boxes_xyxy[0, 3] == found.frame_wh[1]
+    assert masks.frame_wh == (int(640 * factor), int(360 * factor))
+    assert max(iou(masks, scaled), default=0) > 0.8  # type: ignore[arg-type]
+    assert masks.boxes_xyxy[0, 3] == masks.frame_wh[1]
 
 
 def test_unprimed_source_gives_nothing_then_learns() -> None:
     source = create_mask_source("background")
-    assert len(look(source, road())) == 0
+    assert len(masks_of(source, road())) == 0
     source.prime(iter(()))
     for i in range(3):
         source.observe(noisy(road(), i))
     box = (300, 150, 380, 220)
-    assert max(iou(look(source, noisy(drive(road(), box, (30, 30, 190)), 9)), box), default=0) > 0.8
+    assert max(iou(masks_of(source, noisy(drive(road(), box, (30, 30, 190)), 9)), box), default=0) > 0.8
 
 
 # Vehicles as a person draws their boxes by eye, to a pixel or two: frame number -> x0, y0, x1, y1.
@@ -304,8 +304,8 @@ def test_real_vehicles(name: str, drawn: dict[int, list[Box]]) -> None:
         if frame.number % source.every_frame == 0:
             source.observe(frame.image)
         if frame.number in drawn:
-            found = look(source, frame.image).boxes_xyxy.astype(float)
-            best += [max((box_iou(box, other) for other in found.tolist()), default=0) for box in drawn[frame.number]]
+            boxes = masks_of(source, frame.image).boxes_xyxy.astype(float)
+            best += [max((box_iou(box, other) for other in boxes.tolist()), default=0) for box in drawn[frame.number]]
     assert np.mean(np.array(best) > 0.6) >= 0.9
     assert np.median(best) > 0.75
 
