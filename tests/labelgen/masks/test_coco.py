@@ -54,8 +54,8 @@ def write(path: Path, data: Any) -> str:
 
 
 def masks_of(source: Any, number: int = -1, name: str = "") -> InstanceMasks:
-    found: InstanceMasks = source.masks([IMAGE], [number], [name])[0]
-    return found
+    masks: InstanceMasks = source.masks([IMAGE], [number], [name])[0]
+    return masks
 
 
 @pytest.mark.parametrize("encode", [compressed, uncompressed])
@@ -69,11 +69,11 @@ def test_rle_and_polygons_give_the_same_mask(tmp_path: Path, encode: Any) -> Non
         ],
     }
     source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
-    found = masks_of(source, 25)
-    assert found.boxes_xyxy.tolist() == [[5, 10, 25, 20]] * 2
-    assert all(crop.all() for crop in found.crops)
-    assert found.class_ids.tolist() == [VehicleClass.CAR, VehicleClass.TRUCK]
-    assert found.scores.tolist() == [0.75, 1.0]
+    masks = masks_of(source, 25)
+    assert masks.boxes_xyxy.tolist() == [[5, 10, 25, 20]] * 2
+    assert all(crop.all() for crop in masks.crops)
+    assert masks.class_ids.tolist() == [VehicleClass.CAR, VehicleClass.TRUCK]
+    assert masks.scores.tolist() == [0.75, 1.0]
     assert len(masks_of(source, 26)) == 0
     assert source.problems == []
 
@@ -128,9 +128,9 @@ def test_finds_the_image_entry(
 ) -> None:
     annotations = [annotation(i, entry["id"], polygon(i, 0, i + 5, 9), 3) for i, entry in enumerate(images)]
     source = create_mask_source(write(tmp_path / "m.json", {"images": images, "annotations": annotations}))
-    found = masks_of(source, number, name)
+    masks = masks_of(source, number, name)
     lefts = [i for i, entry in enumerate(images) if entry["id"] == expected]
-    assert found.boxes_xyxy[:, 0].tolist() == lefts
+    assert masks.boxes_xyxy[:, 0].tolist() == lefts
 
 
 def test_list_of_results_with_coco_ids(tmp_path: Path) -> None:
@@ -207,17 +207,17 @@ def test_broken_annotations_are_skipped_with_a_reason(tmp_path: Path, broken: An
         "annotations": [broken, annotation(10, 1, polygon(20, 20, 30, 30))],
     }
     source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
-    # Known before the first frame, so that an interrupted job that goes on tells the same.
-    told = list(source.problems)
-    assert len(told) == 1
-    assert reason in told[0]
-    told[0].encode()
+    # Known before the first frame, so that an interrupted job that continues reports the same.
+    problems = list(source.problems)
+    assert len(problems) == 1
+    assert reason in problems[0]
+    problems[0].encode()
     for _ in range(2):
         assert masks_of(source, 0).boxes_xyxy.tolist() == [[20, 20, 30, 30]]
-    assert source.problems == told
+    assert source.problems == problems
     late = create_mask_source(write(tmp_path / "m.json", data))
     masks_of(late, 77)
-    assert late.problems == told
+    assert late.problems == problems
 
 
 @pytest.mark.parametrize(

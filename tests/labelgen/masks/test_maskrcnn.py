@@ -63,7 +63,7 @@ def test_agrees_with_torchvisions_own_pasted_masks(model: Any, weights: Path) ->
 
 
 @pytest.mark.slow
-def test_second_version_is_told_by_its_keys(tmp_path: Path) -> None:
+def test_second_version_is_recognised_by_its_keys(tmp_path: Path) -> None:
     net = maskrcnn_resnet50_fpn_v2(weights=None, weights_backbone=None, num_classes=91)
     torch.save({"state_dict": {f"module.{k}": v for k, v in net.state_dict().items()}}, tmp_path / "v2.pt")
     source = create_mask_source("maskrcnn", weights=tmp_path / "v2.pt", device="cpu")

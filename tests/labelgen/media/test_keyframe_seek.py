@@ -20,7 +20,7 @@ RATE = 10
 
 
 def write_video(path: Path, count: int, key_every: int, *, codec: str = "mpeg4", full_range: bool = False) -> Path:
-    """A video whose bright column tells a frame's number."""
+    """Write a video whose bright column encodes a frame's number."""
     with av.open(str(path), "w") as out:
         stream = out.add_stream(codec, rate=RATE)
         stream.width, stream.height, stream.pix_fmt = 320, 64, "yuvj420p" if full_range else "yuv420p"
@@ -36,13 +36,13 @@ def write_video(path: Path, count: int, key_every: int, *, codec: str = "mpeg4",
 
 
 def shown(image: np.ndarray) -> int:
-    """The number of the frame in a picture."""
+    """Decode the number of the frame in a picture."""
     row = to_grey(image)[16:48].mean(axis=0)
     return round(float(np.average(np.arange(len(row)), weights=np.maximum(row - 150, 0))) - 3.5)
 
 
 def walk(source: FrameSource, work_s: float, rest_s: float) -> list[Frame]:
-    """Frames of a pass that works for a while, then asks for a rest, and so on."""
+    """Read for `work_s`, skip `rest_s`, and so on; return the frames."""
     begun, out, until = 0.0, [], [0.0]
     for frame in source.frames(lambda n: n / RATE >= until[-1], lambda: until[-1]):
         if frame.time_s > (out[-1].time_s if out else 0) + 0.5 * rest_s:
