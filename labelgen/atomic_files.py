@@ -1,4 +1,4 @@
-"""Writing files so that a reader never sees half of one."""
+"""Atomic files: a reader sees the whole file or none."""
 
 from __future__ import annotations
 
@@ -25,19 +25,26 @@ __all__ = [
 TEMPORARY_PREFIX = ".labelgen-"
 
 _ADVICE = {
-    errno.ENOSPC: "no space left on the device; free some, the job goes on where it stopped",
-    errno.EDQUOT: "disk quota exceeded; free some space, the job goes on where it stopped",
+    errno.ENOSPC: "no space left on the device; free some, then run it again",
+    errno.EDQUOT: "disk quota exceeded; free some space, then run it again",
     errno.EFBIG: "file too large for the file system or the set limit",
-    errno.EACCES: "permission denied; choose another --out or change its permissions",
+    errno.EACCES: "permission denied; choose another place or change its permissions",
     errno.EMFILE: "too many open files; raise the limit (ulimit -n)",
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
-    errno.EROFS: "read-only file system; choose another --out",
+    errno.EROFS: "read-only file system; choose another place",
 }
 
 
 @contextlib.contextmanager
 def as_output_error(path: Path) -> Iterator[None]:
-    """Turn what goes wrong with a file written inside the block into an OutputError that says how to mend it."""
+    """Turn an OSError of the block into an OutputError that names a file and says how to mend it.
+
+    Args:
+        path: the file that the block writes.
+
+    Raises:
+        OutputError: the block raised an OSError.
+    """
     try:
         yield
     except OSError as err:
@@ -46,23 +53,31 @@ def as_output_error(path: Path) -> Iterator[None]:
 
 
 def make_folder(path: Path) -> Path:
-    """Create a folder with its parents; OutputError where that is not possible."""
+    """Create a folder with its parents and return it.
+
+    Raises:
+        OutputError: it cannot be created.
+    """
     with as_output_error(path):
         path.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def write_atomic(path: Path, data: bytes | memoryview) -> None:
-    """Write a whole file or nothing: temporary name, flush to disk, rename.
+    """Write a whole file or nothing: to a temporary file, which is flushed to disk and renamed.
+
+    Args:
+        path: the file; a link is followed, and a device or pipe is written to directly.
+        data: its content.
 
     Raises:
-        OutputError: the disk is full, the folder not writable, and so on; nothing is left behind.
+        OutputError: it cannot be written; nothing is left behind.
     """
     with as_output_error(path):
         if path.is_symlink():
             path = path.resolve()
         if path.exists() and not path.is_file() and not path.is_dir():
-            path.write_bytes(data)  # a device or a pipe: it is written to, never replaced
+            path.write_bytes(data)  # a device or a pipe must not be replaced
             return
         handle, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, suffix=".tmp", dir=path.parent)
         try:
@@ -82,7 +97,7 @@ def write_atomic(path: Path, data: bytes | memoryview) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename survive a power cut, where the system can."""
+    """Flush a folder to disk, so that a rename survives a power cut, where the system supports it."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -92,12 +107,16 @@ def _sync_folder(folder: Path) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write JSON atomically, keys in the order given."""
+    """Write a JSON file atomically, with keys in the given order.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
     write_atomic(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode("utf-8", "backslashreplace"))
 
 
 def remove_temporary_files(folder: Path) -> None:
-    """Clear what killed writers left in a folder."""
+    """Delete the temporary files that killed writers left in a folder."""
     for path in folder.glob(f"{TEMPORARY_PREFIX}*.tmp"):
         with contextlib.suppress(OSError):
             path.unlink()

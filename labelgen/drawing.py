@@ -1,6 +1,8 @@
-"""Drawing lines, 3D boxes and text on pictures.
+"""Drawing lines, 3D boxes, labels and text on pictures, and arranging pictures.
 
-Colours are BGR; coordinates are pixels as areas, so drawing shifts by half a pixel.
+Convention:
+    Pictures are (H, W, 3) uint8 BGR and drawn on in place. Points are (..., 2) px as x, y, x right, y down, pixels
+    being areas; OpenCV's coordinates are those of pixel centres, half a pixel less.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ _CLIP = 30000.0
 
 
 def _fixed(points: ArrayLike) -> NDArray[np.int32]:
-    """Fixed-point coordinates for OpenCV, clipped to what its drawing can hold."""
+    """Return fixed-point coordinates for OpenCV, clipped to the range that its drawing functions support."""
     pts = np.clip(np.asarray(points, dtype=np.float64) - 0.5, -_CLIP, _CLIP)
     return np.asarray(np.round(pts * 2**_SHIFT), dtype=np.int32)
 
@@ -50,14 +52,14 @@ def _fixed(points: ArrayLike) -> NDArray[np.int32]:
 def draw_polyline(
     image: Picture, points: ArrayLike, colour: Sequence[int], thickness: int = 1, *, closed: bool = False
 ) -> None:
-    """Draw a line through points (K, 2), in place; nothing where one is not finite."""
+    """Draw a line through points (K, 2), px; nothing where a point is not finite."""
     pts = np.asarray(points, dtype=np.float64)
     if np.isfinite(pts).all():
         cv2.polylines(image, [_fixed(pts)[:, None]], closed, tuple(colour), thickness, cv2.LINE_AA, _SHIFT)
 
 
 def draw_box3d(image: Picture, vertices: ArrayLike, thickness: int = 1) -> None:
-    """Draw a 3D box (8, 2), in place: front face red, rear face and edges between them blue."""
+    """Draw a 3D box (8, 2), px: front face red, rear face and the edges between them blue."""
     pts = np.asarray(vertices, dtype=np.float64)
     if not np.isfinite(pts).all():
         return
@@ -70,7 +72,7 @@ def draw_box3d(image: Picture, vertices: ArrayLike, thickness: int = 1) -> None:
 def draw_text(
     image: Picture, text: str, origin: tuple[int, int], scale: float = 0.4, colour: Sequence[int] = WHITE
 ) -> None:
-    """Write ASCII text on a dark ground, in place; `origin` is its lower left corner."""
+    """Write ASCII text on a dark ground; `origin` is its lower left corner, px."""
     if not text:
         return
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
@@ -82,7 +84,7 @@ def draw_text(
 
 
 def draw_arrow(image: Picture, start: ArrayLike, towards: ArrayLike, length: float, colour: Sequence[int]) -> None:
-    """Draw an arrow of a given length from a point towards another, in place."""
+    """Draw an arrow from a point (2,) towards another one, with at most the given length, px."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(towards, dtype=np.float64)
     reach = np.linalg.norm(b - a)
     if not np.isfinite(reach) or reach == 0:
@@ -95,7 +97,15 @@ def draw_arrow(image: Picture, start: ArrayLike, towards: ArrayLike, length: flo
 def draw_label(
     image: Picture, box_xyxy: ArrayLike, cc: float, vpu: ArrayLike, vertices: ArrayLike | None = None
 ) -> None:
-    """Draw a label on a rectified picture, in place: 2D box green, c_c yellow, towards VPU magenta, 3D box."""
+    """Draw a label on a rectified picture: 2D box green, c_c yellow, direction of VPU magenta, 3D box.
+
+    Args:
+        image: the rectified picture.
+        box_xyxy: (4,) px.
+        cc: c_c in [0, 1].
+        vpu: (2,) px.
+        vertices: (8, 2) px of the 3D box; None to leave it out.
+    """
     x0, y0, x1, y1 = (float(v) for v in np.asarray(box_xyxy, dtype=np.float64))
     if vertices is not None:
         draw_box3d(image, vertices)
@@ -106,10 +116,16 @@ def draw_label(
 
 
 def crop_around(image: Picture, box_xyxy: ArrayLike, margin: float, size: int) -> tuple[Picture, NDArray[np.float64]]:
-    """A square cut-out around a box, scaled to (size, size); grey outside of the picture.
+    """Crop a square around a box and scale it.
+
+    Args:
+        image: the picture.
+        box_xyxy: (4,) px.
+        margin: added on each side, as a share of the box's larger side.
+        size: width and height of the result, px.
 
     Returns:
-        the cut-out, and the matrix (3, 3) that maps picture px to its px.
+        The crop (size, size, 3), grey outside the picture, and the matrix (3, 3) from picture px to crop px.
     """
     x0, y0, x1, y1 = (float(v) for v in np.asarray(box_xyxy, dtype=np.float64))
     side = max(x1 - x0, y1 - y0, 4.0) * (1 + 2 * margin)
@@ -125,7 +141,7 @@ def crop_around(image: Picture, box_xyxy: ArrayLike, margin: float, size: int) -
 
 
 def fit_into(image: Picture, size_wh: tuple[int, int]) -> Picture:
-    """Scale a picture to fit a rectangle, centred on grey."""
+    """Scale a picture to fit a size (width, height), px, centred on grey (letterbox)."""
     gain = min(size_wh[0] / image.shape[1], size_wh[1] / image.shape[0])
     w, h = max(1, round(image.shape[1] * gain)), max(1, round(image.shape[0] * gain))
     out = np.full((size_wh[1], size_wh[0], 3), 70, dtype=np.uint8)
@@ -137,7 +153,7 @@ def fit_into(image: Picture, size_wh: tuple[int, int]) -> Picture:
 
 
 def tile_pictures(pictures: Sequence[Any], columns: int, gap: int = 6) -> Picture:
-    """One picture of many of the same size, in rows."""
+    """Arrange pictures of one size in rows of so many columns, with a gap in px between them."""
     height, width = pictures[0].shape[:2]
     rows = -(-len(pictures) // columns)
     out = np.full((rows * (height + gap) + gap, columns * (width + gap) + gap, 3), 30, dtype=np.uint8)

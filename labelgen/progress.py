@@ -1,4 +1,4 @@
-"""Progress bars: with rate and time left on a terminal, a line now and then in a log, gone when something fails."""
+"""Progress bars, and interruption between two items."""
 
 from __future__ import annotations
 
@@ -11,21 +11,24 @@ from collections.abc import Callable, Iterator
 
 from tqdm import tqdm
 
-__all__ = ["asked_to_stop", "progress_bar"]
+__all__ = ["defer_interrupt", "progress_bar"]
 
 _LOG_INTERVAL_S = 10.0
 
 
 @contextlib.contextmanager
 def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Callable[[int], object]]:
-    """Show progress on standard error; yields a function that takes the number of units done since its last call.
+    """Show a progress bar on standard error: live on a terminal, one line in ten seconds in a log.
 
-    Nothing is shown where the logger `labelgen` is set to say no more than warnings.
+    Nothing is shown where the level of the logger `labelgen` is above INFO.
 
     Args:
-        total: units to do; None where that is not known.
-        unit: what is counted.
-        title: what is being done.
+        total: number of units; None where unknown.
+        unit: name of a unit.
+        title: text before the bar.
+
+    Yields:
+        A function that takes the number of units done since its last call.
     """
     terminal = sys.stderr.isatty()
     bar = tqdm(
@@ -48,24 +51,25 @@ def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Call
 
 
 @contextlib.contextmanager
-def asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C into a question to be asked between two items, so that none is left half done.
+def defer_interrupt() -> Iterator[Callable[[], bool]]:
+    """Defer the first interruption (Ctrl-C), so that the item in work is finished; a second one acts at once.
 
-    Yields a function that says whether somebody asked; a second Ctrl-C interrupts at once.
+    Yields:
+        A function that returns whether an interruption came.
     """
-    asked = False
+    interrupted = False
 
-    def note(number: int, frame: object) -> None:
-        nonlocal asked
-        if asked:
+    def remember(number: int, frame: object) -> None:
+        nonlocal interrupted
+        if interrupted:
             raise KeyboardInterrupt
-        asked = True
+        interrupted = True
 
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: asked
+        yield lambda: interrupted
         return
-    before = signal.signal(signal.SIGINT, note)
+    before = signal.signal(signal.SIGINT, remember)
     try:
-        yield lambda: asked
+        yield lambda: interrupted
     finally:
         signal.signal(signal.SIGINT, before)

@@ -1,4 +1,4 @@
-"""Contact sheets: many labels on few pictures, on the rectified image and on the original one."""
+"""Contact sheets: many labels on few pictures, drawn on the rectified and on the original images."""
 
 from __future__ import annotations
 
@@ -28,7 +28,11 @@ _FLAG_LETTERS = {
 
 
 def save_picture(path: Path, picture: NDArray[np.uint8]) -> Path:
-    """Write a picture; OutputError where that fails."""
+    """Write a picture (H, W, 3) BGR and return its path.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
     try:
         ok = cv2.imwrite(str(path), picture)
     except cv2.error:
@@ -39,22 +43,39 @@ def save_picture(path: Path, picture: NDArray[np.uint8]) -> Path:
 
 
 def pick_labels(data: ShardDataset[Sample], count: int, seed: int) -> list[tuple[int, int]]:
-    """(sample, label) numbers of labels chosen at random, in order."""
+    """Return the numbers of randomly chosen labels, in ascending order.
+
+    Args:
+        data: the shards.
+        count: number of labels; all where there are fewer.
+        seed: of the random choice.
+
+    Returns:
+        (sample, label) each: the number of the sample in the data set, and of the label in the sample.
+    """
     per_sample = np.concatenate([np.diff(reader.table("labels/offset")) for reader in data.readers])
     starts = np.concatenate([[0], np.cumsum(per_sample)])
     total = int(starts[-1])
-    chosen = np.sort(np.random.default_rng(seed).choice(total, min(count, total), replace=False))
-    samples = np.searchsorted(starts, chosen, side="right") - 1
-    return [(int(s), int(c - starts[s])) for s, c in zip(samples, chosen, strict=True)]
+    labels = np.sort(np.random.default_rng(seed).choice(total, min(count, total), replace=False))
+    samples = np.searchsorted(starts, labels, side="right") - 1
+    return [(int(s), int(n - starts[s])) for s, n in zip(samples, labels, strict=True)]
 
 
 def label_sheets(
     data: ShardDataset[Sample], originals: Originals, out: Path, *, count: int = 50, per_sheet: int = 10, seed: int = 0
 ) -> list[Path]:
-    """Sheets of labels chosen at random, each on the rectified image and, if at hand, on the original.
+    """Write sheets of randomly chosen labels, each on the rectified image and, where available, on the original.
+
+    Args:
+        data: the shards.
+        originals: the original images.
+        out: folder of the sheets.
+        count: number of labels.
+        per_sheet: number of labels on a sheet.
+        seed: of the random choice.
 
     Returns:
-        the files written, labels-00.png and so on.
+        The files, labels-00.png and so on.
     """
     picked = pick_labels(data, count, seed)
     samples = {number: data[number] for number, _ in picked}
@@ -64,7 +85,17 @@ def label_sheets(
 
 
 def frame_sheets(data: ShardDataset[Sample], out: Path, *, count: int = 12, per_sheet: int = 6) -> list[Path]:
-    """Sheets of whole rectified images with all their labels, spread evenly, so that missing labels show."""
+    """Write sheets of whole rectified images with all their labels, which show vehicles without a label.
+
+    Args:
+        data: the shards; samples are taken at equal distances.
+        out: folder of the sheets.
+        count: number of samples.
+        per_sheet: number of samples on a sheet.
+
+    Returns:
+        The files, frames-00.png and so on.
+    """
     numbers = sorted({int(n) for n in np.linspace(0, len(data) - 1, min(count, len(data)))})
     tiles = []
     for number in numbers:
@@ -108,7 +139,7 @@ def _original_tile(sample: Sample, label: int, original: NDArray[np.uint8] | Non
     tile = np.full((_TILE, _TILE, 3), 70, dtype=np.uint8)
     vertices, valid = sample.vertices_px()
     if original is None or not valid[label] or not np.isfinite(vertices[label]).all():
-        draw_text(tile, "original not at hand" if original is None else "no 3D box", (10, _TILE // 2))
+        draw_text(tile, "original not available" if original is None else "no 3D box", (10, _TILE // 2))
         return tile
     offset = np.nan_to_num(sample.window_xyxy[:2])
     points = vertices[label] - offset

@@ -1,4 +1,4 @@
-"""Finding the original pictures behind the samples of a data set, where they are still at hand."""
+"""The original images of a data set's samples, where they are available."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Originals"]
 
 
 class Originals:
-    """Original pictures of samples, from the places that dataset.json remembers.
+    """The original images of samples, at the places stated in `dataset.json`.
 
     Args:
         data: the shards.
@@ -33,16 +33,25 @@ class Originals:
             try:
                 entries = read_index(folder)["shards"]
             except LabelgenError:
-                continue  # shards without an index: their labels are shown all the same
+                continue  # shards without an index have labels, but no originals
             self._places.update({folder / entry["name"]: entry.get("original", {}) for entry in entries})
 
     def place(self, index: int) -> dict[str, Any]:
-        """Where the original of a sample lies: path, calibration, road_mask, masks; or images; empty if unknown."""
+        """Return where the original of a sample lies.
+
+        Returns:
+            `path`, `calibration`, `road_mask`, `masks` and `weights` for a video, `images` for a folder of images;
+            empty where unknown.
+        """
         return self._places.get(self._data.locate(index)[0].path, {})
 
     def read(self, indices: Sequence[int]) -> list[NDArray[np.uint8] | None]:
-        """The picture of each sample's window, or None. Videos are decoded once, in order."""
-        found: list[NDArray[np.uint8] | None] = [None] * len(indices)
+        """Return the original image (H, W, 3) BGR of each sample's window, or None. Each video is decoded once.
+
+        Args:
+            indices: numbers of the samples.
+        """
+        images: list[NDArray[np.uint8] | None] = [None] * len(indices)
         videos: dict[Path, dict[int, list[int]]] = {}
         for i, index in enumerate(indices):
             place, sample = self.place(index), self._data[index]
@@ -50,16 +59,16 @@ class Originals:
                 videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(i)
             elif "images" in place:
                 try:
-                    found[i] = read_image(Path(place["images"]) / sample.source)
+                    images[i] = read_image(Path(place["images"]) / sample.source)
                 except DataError:
-                    continue  # moved since: the label is shown without its original
+                    continue  # the file was moved: the label is shown without its original
         for path, wanted in videos.items():
             if not path.exists():
                 continue
             last = max(wanted)
             for frame in open_frames(path).frames(wanted.__contains__):
                 for i in wanted[frame.number]:
-                    found[i] = frame.image
+                    images[i] = frame.image
                 if frame.number >= last:
                     break
-        return found
+        return images

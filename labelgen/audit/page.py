@@ -1,4 +1,4 @@
-"""The audit of a data set: one folder with a page, contact sheets, figures and statistics."""
+"""The audit of a data set: a folder with a page, contact sheets, figures and statistics."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ td{padding:.15rem 1rem .15rem 0;border-bottom:1px solid #ddd}h2{margin-top:2rem}
 
 @dataclass
 class Audit:
-    """What was made.
+    """The files of an audit.
 
     Args:
-        page: the page to open.
-        pictures: by chapter.
+        page: the HTML page.
+        pictures: image files, by chapter of the page.
         notes: what could not be shown, and why.
     """
 
@@ -47,16 +47,17 @@ class Audit:
 
 
 def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int = 0) -> Audit:
-    """Make the audit folder.
+    """Make the audit of shards.
 
     Args:
-        shards: shards or folders of shards.
-        out: folder for it.
-        count: labels on the contact sheets.
-        seed: which labels.
+        shards: shards or folders of shards, all of one pair and size.
+        out: folder for the page and its pictures.
+        count: number of labels on the contact sheets.
+        seed: of the random choice of labels.
 
     Raises:
-        DataError: no label in the shards.
+        DataError: shards without a label, or of different pairs or sizes.
+        OutputError: the folder cannot be written.
     """
     data = ShardDataset(shards)
     if not any(reader.label_count for reader in data.readers):
@@ -80,11 +81,11 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
 
 
 def _explain(data: ShardDataset[Sample], originals: Originals, out: Path, audit: Audit) -> None:
-    """Figures of the steps for the first sample whose original is at hand."""
+    """Add figures of the steps for the first sample, or a note where its original is not available."""
     sample = data[0]
-    picture = originals.read([0])[0]
-    if picture is None:
-        audit.notes.append("no figure of the rectification: the original of the first sample is not at hand")
+    original = originals.read([0])[0]
+    if original is None:
+        audit.notes.append("no figure of the rectification: the original of the first sample is not available")
         return
     source = originals.place(0)
     road = None
@@ -93,42 +94,47 @@ def _explain(data: ShardDataset[Sample], originals: Originals, out: Path, audit:
             road = read_mask(Path(source["road_mask"]))
         except LabelgenError as err:
             audit.notes.append(f"no road mask in the figure of the rectification: {err}")
-    figure = rectification_figure(picture, sample.rectification, sample.camera, sample.window_xyxy, road)
+    figure = rectification_figure(original, sample.rectification, sample.camera, sample.window_xyxy, road)
     audit.pictures["Steps of the rectification"] = [save_picture(out / "rectification.png", figure)]
     if source.get("masks"):
-        found: NDArray[np.uint8] | str
         try:
-            found = _mask_figure(data, source)
+            figure = _mask_figure(data, source)
         except LabelgenError as err:
-            found = str(err)
-        if isinstance(found, str):
-            audit.notes.append(f"no figure from mask to label: {found}")
+            audit.notes.append(f"no figure from mask to label: {err}")
         else:
-            audit.pictures["Steps from mask to label"] = [save_picture(out / "mask-to-label.png", found)]
+            audit.pictures["Steps from mask to label"] = [save_picture(out / "mask-to-label.png", figure)]
 
 
-def _mask_figure(data: ShardDataset[Sample], source: dict[str, Any]) -> NDArray[np.uint8] | str:
-    """The figure for the first labelled frame, made with the same mask source; or why there is none."""
+def _mask_figure(data: ShardDataset[Sample], source: dict[str, Any]) -> NDArray[np.uint8]:
+    """Return the figure from mask to label for the largest possible vehicle of the first labelled frame.
+
+    Args:
+        data: the shards.
+        source: where the originals of the first sample lie, and the mask source that made its label.
+
+    Raises:
+        LabelgenError: there is no such figure; the message says why.
+    """
     sample = data[0]
     frames = open_frames(Path(source["path"]))
-    masks = create_mask_source(
+    mask_source = create_mask_source(
         source["masks"],
         weights=source.get("weights"),
         score_threshold=float(data.readers[0].settings.get("score", 0.5)),
         road_mask=read_mask(Path(source["road_mask"])),
         frame_wh=frames.size_wh,
     )
-    prime_masks(masks, frames)
+    prime_masks(mask_source, frames)
     rule = Rule.parse(str(data.readers[0].settings.get("rule", Rule.WIDER)))
-    for frame, found in masked_frames(frames, masks, lambda number: number == sample.frame):
-        assert found is not None
-        for i in sorted(range(len(found)), key=lambda i: -int(found.crops[i].sum())):
-            x, y = (int(v) for v in found.origins[i])
-            figure = mask_label_figure(frame.image, found.crops[i], (x, y), sample.rectification, rule)
+    for frame, masks in masked_frames(frames, mask_source, lambda number: number == sample.frame):
+        assert masks is not None
+        for i in sorted(range(len(masks)), key=lambda i: -int(masks.crops[i].sum())):
+            x, y = (int(v) for v in masks.origins[i])
+            figure = mask_label_figure(frame.image, masks.crops[i], (x, y), sample.rectification, rule)
             if figure is not None:
                 return figure
         break
-    return "no mask of the first labelled frame gives a label"
+    raise DataError("no mask of the first labelled frame gives a label")
 
 
 def _write_page(data: ShardDataset[Sample], audit: Audit) -> None:

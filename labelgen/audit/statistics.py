@@ -1,4 +1,4 @@
-"""Figures of what a data set holds: c_c, sizes, positions, candidates, rejects by reason."""
+"""Statistics of a data set as one figure: c_c, sizes, positions, candidates, rejects by reason."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["draw_statistics"]
 
 
 def draw_statistics(data: ShardDataset[Sample], path: Path) -> Path:
-    """Write one figure with six panels."""
+    """Write the figure with its six panels as an image file, and return its path."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -34,7 +34,7 @@ def draw_statistics(data: ShardDataset[Sample], path: Path) -> Path:
     x, y = (boxes[:, 0] + boxes[:, 2]) / 2, (boxes[:, 1] + boxes[:, 3]) / 2
     counts = axes[3].hist2d(x, y, bins=(40, 40), range=((0, size_wh[0]), (0, size_wh[1])), cmap="magma")
     axes[3].invert_yaxis()
-    axes[3].set(title="where boxes are (centres)", xlabel="x, px", ylabel="y, px", aspect="equal")
+    axes[3].set(title="positions of box centres", xlabel="x, px", ylabel="y, px", aspect="equal")
     figure.colorbar(counts[3], ax=axes[3], label="labels")
     apart = np.abs(np.diff(candidates, axis=1))[:, 0]
     apart = apart[np.isfinite(apart)]

@@ -1,4 +1,4 @@
-"""Figures that explain one picture: the steps of a rectification, and the steps from a mask to a label."""
+"""Figures of single steps: from the frame to its rectification, and from a mask to its label."""
 
 from __future__ import annotations
 
@@ -41,13 +41,19 @@ def rectification_figure(
     window_xyxy: ArrayLike,
     road: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.uint8]:
-    """Three panels: picture with the region and the bounding tangents; with the vanishing directions; rectified.
+    """Draw the steps of a rectification in three panels.
+
+    They show the region with its bounding tangents, the vanishing directions, and the rectified image.
 
     Args:
-        picture: (H, W, 3) original picture of the window.
-        rectification, camera: of the frame.
-        window_xyxy: (4,) part of the frame that the picture shows.
-        road: (H, W) road mask, if there is one.
+        picture: (H, W, 3) uint8 BGR, the original image of the window.
+        rectification: of the frame.
+        camera: of the frame.
+        window_xyxy: (4,) frame px, the part of the frame that the picture shows.
+        road: (H, W) bool road mask of the frame, where known.
+
+    Returns:
+        (h, w, 3) uint8 BGR.
     """
     offset = np.nan_to_num(np.asarray(window_xyxy, dtype=np.float64)[:2])
     corners = rectification.corners_px - offset
@@ -98,17 +104,20 @@ def mask_label_figure(
     rectification: Rectification,
     rule: Rule,
 ) -> NDArray[np.uint8] | None:
-    """Four panels: mask in the frame; rectified mask and its box; tangents and candidates; label and 3D box.
+    """Draw the steps from a mask to its label in four panels.
+
+    They show the mask in the frame, the rectified mask with its box, the tangents with both candidates for c_c, and the
+    label with its 3D box.
 
     Args:
-        picture: (H, W, 3) the frame.
+        picture: (H, W, 3) uint8 BGR, the frame.
         mask: (h, w) bool, the part of the instance mask that starts at `origin_px`.
-        origin_px: frame px.
+        origin_px: frame px of the mask's first pixel.
         rectification: of the frame.
-        rule: how the candidates become one.
+        rule: how the two candidates become one c_c.
 
     Returns:
-        the figure; None where the mask gives no label.
+        (h, w, 3) uint8 BGR; None where the mask gives no label.
     """
     outline = rectified_outline(rectification, mask, origin_px)
     if outline is None:

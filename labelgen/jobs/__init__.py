@@ -1,0 +1,3 @@
+"""Jobs: resumable work that turns sources into shards."""
+
+__all__: list[str] = []

@@ -1,8 +1,7 @@
-"""The boxcars job: crops with 3D boxes -> rectified crops with labels."""
+"""The BoxCars116k job: from crops with 3D boxes to shards of rectified crops with labels."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,13 +22,15 @@ from labelgen.labeling.from_boxes import label_boxes
 from labelgen.labels import Labels, Sample, Split
 from labelgen.shards import Reject, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
+from labelgen.shards.index import file_hash
 
 __all__ = ["BoxCarsUnit", "boxcars_job"]
 
 _SOURCE = "boxcars116k"
 _CHUNK = 64
-# A crop with a side of fewer px shows no vehicle.
-_SMALLEST = 8
+"""Crops whose geometry is computed at once."""
+_MIN_SIDE_PX = 8
+"""Least side of a crop, px: smaller ones show no vehicle."""
 
 
 def boxcars_job(
@@ -47,31 +48,34 @@ def boxcars_job(
 
     Args:
         data: the opened tree.
-        pair, size_wh: the rectification.
+        pair: the vanishing points whose directions become axis-parallel.
+        size_wh: size of the rectified crops, px.
         cameras: names of the cameras to use; None for all.
-        to_camera_only: leave out vehicles that drive away.
-        limit: stop after so many instances that are not left out.
-        per_shard: images in a shard.
-        codec: how images are stored.
+        to_camera_only: whether to leave out vehicles that drive away from the camera.
+        limit: largest number of instances to label; None for all.
+        per_shard: largest number of instances to label in a shard.
+        codec: encoding of the images; JPEG of quality 95 by default.
 
     Raises:
         LabelgenError: an unknown camera.
     """
-    known = sorted({*data.cameras, *data.bad_cameras})
-    unknown = sorted(set(cameras or ()) - set(known))
+    all_cameras = sorted({*data.cameras, *data.bad_cameras})
+    unknown = sorted(set(cameras or ()) - set(all_cameras))
     if unknown:
-        raise LabelgenError(f"--cameras {','.join(unknown)}: not in the data set; it has {', '.join(known)}")
+        raise LabelgenError(
+            f"cameras {','.join(unknown)}: not in the data set; it has {', '.join(all_cameras)}", parameter="cameras"
+        )
     codec = codec or ImageCodec()
     settings = {"kind": "boxcars", "rule": "3d-box", **codec.describe()}
     units: list[BoxCarsUnit] = []
-    taken: list[tuple[Instance, str, Split]] = []
+    collected: list[tuple[Instance, str, Split]] = []
     eligible = total = 0
 
     def flush() -> None:
-        nonlocal taken, eligible
-        if taken:
-            units.append(BoxCarsUnit(data, len(units), tuple(taken), pair, size_wh, settings, codec))
-        taken, eligible = [], 0
+        nonlocal collected, eligible
+        if collected:
+            units.append(BoxCarsUnit(data, len(units), tuple(collected), pair, size_wh, settings, codec))
+        collected, eligible = [], 0
 
     for instance in data.instances():
         if limit is not None and total >= limit:
@@ -79,13 +83,13 @@ def boxcars_job(
         if eligible == per_shard:
             flush()
         left_out = _left_out(instance, cameras, to_camera_only)
-        taken.append((instance, left_out, data.split_of(instance.vehicle)))
+        collected.append((instance, left_out, data.split_of(instance.vehicle)))
         eligible += not left_out
         total += not left_out
     flush()
     if units:
         units[-1] = BoxCarsUnit(data, len(units) - 1, units[-1].instances, pair, size_wh, settings, codec, last=True)
-    chosen = {
+    job_settings = {
         "pair": str(pair),
         "size": f"{size_wh[0]}x{size_wh[1]}",
         "cameras": None if cameras is None else sorted(cameras),
@@ -97,24 +101,19 @@ def boxcars_job(
     }
     inputs = {
         "root": data.root.name,
-        data.annotations.name: _digest(data.annotations),
+        data.annotations.name: file_hash(data.annotations),
         "pictures": "atlas" if data.from_atlas else "images",
     }
     if data.splits is not None:
-        inputs[data.splits.name] = _digest(data.splits)
+        inputs[data.splits.name] = file_hash(data.splits)
     if data.atlas is not None:
-        inputs[data.atlas.name] = f"{data.atlas.stat().st_size} {_digest(data.atlas)}"
+        inputs[data.atlas.name] = f"{data.atlas.stat().st_size} {file_hash(data.atlas)}"
     originals = {} if data.from_atlas else {_SOURCE: {"images": str(data.images.resolve())}}
-    return Job("boxcars", chosen, inputs, units, originals)
-
-
-def _digest(path: Path) -> str:
-    # Of the whole file: the atlas too was read whole to open the tree, and its ends alone do not show a change.
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return Job("boxcars", job_settings, inputs, units, originals)
 
 
 def _left_out(instance: Instance, cameras: Sequence[str] | None, to_camera_only: bool) -> str:
+    """Return why an instance is left out; "" where it is not."""
     if instance.problem:
         return "damaged entry"
     if cameras is not None and instance.camera not in cameras:
@@ -130,8 +129,13 @@ class BoxCarsUnit:
 
     Args:
         data: the tree; it holds the atlas in memory where there are no image files.
-        number: of the shard.
-        instances: each with the reason why it is left out, or "", and its split.
+        number: number of the shard.
+        instances: the instances, each with the reason why it is left out, or "", and its split.
+        pair: the vanishing points whose directions become axis-parallel.
+        size_wh: size of the rectified crops, px.
+        settings: what decides the labels, for the shard.
+        codec: encoding of the images.
+        last: whether this is the last shard of the job.
     """
 
     data: BoxCars
@@ -145,7 +149,7 @@ class BoxCarsUnit:
 
     @property
     def size(self) -> int:
-        """Instances to look at."""
+        """Number of instances."""
         return len(self.instances)
 
     def _path(self, out: Path) -> Path:
@@ -154,7 +158,7 @@ class BoxCarsUnit:
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
         path = self._path(out)
-        found = finished_part(
+        reader = finished_part(
             path,
             pair=str(self.pair),
             size=f"{self.size_wh[0]}x{self.size_wh[1]}",
@@ -163,7 +167,7 @@ class BoxCarsUnit:
             last=int(self.last),
             settings=json.dumps(dict(self.settings), sort_keys=True),
         )
-        return None if found is None else [path]
+        return None if reader is None else [path]
 
     def run(self, out: Path, progress: Progress) -> None:
         """See `Unit`."""
@@ -177,7 +181,10 @@ class BoxCarsUnit:
                 progress(len(chunk))
 
     def _label_chunk(self, chunk: Sequence[tuple[Instance, str, Split]], writer: ShardWriter) -> None:
-        """Label a chunk: pictures one by one, geometry all at once. Samples and rejects keep the input's order."""
+        """Label a chunk. Samples and rejects keep the input's order.
+
+        Images are read one by one; the geometry of all is computed at once, which is many times faster.
+        """
         crops: list[tuple[Instance, Split, NDArray[np.uint8]]] = []
         for instance, left_out, split in chunk:
             if left_out:
@@ -191,8 +198,8 @@ class BoxCarsUnit:
                 except DataError as err:
                     writer.reject(_reject(instance, "unreadable picture", str(err)))
                     continue
-                if min(image.shape[:2]) < _SMALLEST:
-                    detail = f"{image.shape[1]}x{image.shape[0]} px, less than {_SMALLEST} on a side"
+                if min(image.shape[:2]) < _MIN_SIDE_PX:
+                    detail = f"{image.shape[1]}x{image.shape[0]} px, less than {_MIN_SIDE_PX} on a side"
                     writer.reject(_reject(instance, "picture too small", detail))
                     continue
                 crops.append((instance, split, image))
@@ -206,11 +213,11 @@ class BoxCarsUnit:
             vps, windows[:, [0, 1, 2, 1, 2, 3, 0, 3]].reshape(-1, 4, 2), self.pair, self.size_wh
         )
         vpus = apply_homography(matrices, vps[:, [self.pair.unused - 1]], behind="keep")[:, 0]
-        found = label_boxes(
+        labels = label_boxes(
             apply_homography(matrices, np.stack([instance.vertices_px for instance, _, _ in crops])), vpus, self.size_wh
         )
         for i, (instance, split, image) in enumerate(crops):
-            label = found[i]
+            label = labels[i]
             if not usable[i]:
                 writer.reject(_reject(instance, "no rectification", f"the line joining {self.pair} crosses the crop"))
             elif not isinstance(label, Labels):

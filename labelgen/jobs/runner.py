@@ -1,7 +1,7 @@
-"""Running a job: units of work -> shards -> index, resumable, in one process or many.
+"""Running a job: units of work make shards, then the index is written; resumable, in one process or several.
 
-Which sample goes to which shard depends on the input alone, and a shard on disk is always whole. So a job that
-was interrupted goes on at the first missing shard, and any number of workers gives the same bytes.
+Which sample goes to which shard depends on the input alone, and a shard on disk is always complete. An interrupted job
+therefore continues at the first missing shard, and any number of workers gives the same bytes.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ Progress = Callable[[int], object]
 
 
 class Unit(Protocol):
-    """Shards that one process makes, one after the other. Units are picklable and independent."""
+    """The work of one process: one or several shards, made in order. Units are picklable and independent."""
 
     @property
     def size(self) -> int | None:
-        """How many inputs it looks at, where known."""
+        """Number of its inputs; None where unknown."""
 
     def shards(self, out: Path) -> list[Path] | None:
-        """Its shards in order if all are on disk, else None."""
+        """Return its shards in order if all are in the folder `out`, else None."""
 
     def run(self, out: Path, progress: Progress) -> None:
-        """Make the shards that are missing; `progress` takes the number of inputs done since the last call."""
+        """Make the shards that are missing; `progress` is called with the number of inputs since its last call."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to do and how to recognise it again.
+    """The work of a command, and the identity by which a later run recognises it.
 
     Args:
         command: name of the command.
-        settings: everything that decides the content of the shards.
-        inputs: what identifies the input files.
+        settings: all values that decide the content of the shards.
+        inputs: names and hashes of the input files.
         units: the work.
-        originals: where the originals lie on this machine, by the shards' source; not part of the job's identity.
+        originals: where the original images lie on this machine, by the shards' source; not part of the identity.
     """
 
     command: str
@@ -64,22 +64,25 @@ class Job:
     originals: Mapping[str, Any] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
-        """Identity of the job: the same on every run of the same command on the same input."""
+        """Return the identity of the job: the same for the same command on the same input."""
         return {"command": self.command, "settings": dict(self.settings), "inputs": dict(self.inputs)}
 
 
 def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -> DatasetSummary:
-    """Make all shards of a job, then the index; a data set that was there before stays whole until then.
+    """Make all shards of a job and their index. An older data set in the folder stays complete until then.
 
     Args:
         job: the work.
         out: output folder.
         overwrite: whether a finished data set, or another job's unfinished one, may be replaced.
-        workers: processes; 0 for one per core.
+        workers: number of processes; 0 for one per core.
+
+    Returns:
+        Counts of the data set.
 
     Raises:
         OutputError: the folder is in use, holds something else, or cannot be written.
-        LabelgenError: no label came out of it; the folder is left as it was found.
+        LabelgenError: the job gave no label; the folder is then left as it was.
     """
     with Staging(out, job.describe(), overwrite=overwrite) as staging:
         if not staging.published:
@@ -120,22 +123,23 @@ def _cores() -> int:
 
 def _run_in_processes(units: Sequence[Unit], folder: Path, count: int, advance: Progress) -> None:
     context = multiprocessing.get_context("spawn")
-    done: Any = context.Queue()
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(done,))
+    counts: Any = context.Queue()
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(counts,))
     try:
         pending: set[Future[None]] = {pool.submit(_run_unit, unit, folder) for unit in units}
         while pending:
             finished, pending = wait(pending, timeout=0.2)
-            _drain(done, advance)
+            _drain(counts, advance)
             for future in finished:
                 future.result()
-        _drain(done, advance)
+        _drain(counts, advance)
     except BrokenProcessPool:
         raise LabelgenError(
-            "a worker process was killed, perhaps for want of memory; run the command again with fewer --workers"
+            "a worker process was killed, perhaps for lack of memory; run it again with fewer workers",
+            parameter="workers",
         ) from None
     except BaseException:
-        # Whole videos may be under way: what they have finished is on disk, the rest is not waited for.
+        # A worker may need hours for its video; its finished shards are on disk, so it is not waited for.
         for child in multiprocessing.active_children():
             child.kill()
         raise
@@ -143,10 +147,10 @@ def _run_in_processes(units: Sequence[Unit], folder: Path, count: int, advance: 
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _drain(done: Any, advance: Progress) -> None:
+def _drain(counts: Any, advance: Progress) -> None:
     while True:
         try:
-            advance(done.get_nowait())
+            advance(counts.get_nowait())
         except queue.Empty:
             return
 
@@ -154,9 +158,9 @@ def _drain(done: Any, advance: Progress) -> None:
 _report: Any = None
 
 
-def _start_worker(done: Any) -> None:
+def _start_worker(counts: Any) -> None:
     global _report
-    _report = done
+    _report = counts
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     parent = multiprocessing.parent_process()
@@ -165,7 +169,7 @@ def _start_worker(done: Any) -> None:
 
 
 def _end_with(sentinel: int) -> None:
-    """A worker whose parent was killed must not go on writing."""
+    """End this process when its parent ends: it must not continue to write."""
     wait_for_any([sentinel])
     os._exit(1)
 
@@ -175,11 +179,11 @@ def _run_unit(unit: Unit, folder: Path) -> None:
 
 
 def finished_part(path: Path, **expected: Any) -> ShardReader | None:
-    """Reader of a shard that is on disk and is the expected one; None where it is not there.
+    """Return the reader of a shard on disk that has the expected attributes, else None.
 
     Args:
-        path: of the shard.
-        expected: values of its attributes.
+        path: the shard.
+        expected: values of its attributes, by name.
     """
     if not path.exists():
         return None

@@ -1,9 +1,9 @@
-"""The folder in which a data set grows, hidden in its final place until it is complete.
+"""The staging folder, in which a data set is made until it is complete.
 
-`OUT/.labelgen-job/` holds job.json (what the job is), a lock, and the shards made so far. When the index is
-written there, too, the data set moves up in one go: the old index first disappears, then old shards, then the new ones
-take their places, the new index last. A job killed at any moment goes on from what it finds, the move included;
-an older data set stays whole until a newer one is.
+`OUT/.labelgen-job/` holds `job.json` (the job's identity), a lock, and the shards made so far. When the index is there,
+too, the data set is published: the old index is removed first, then the old shards, then the new shards are moved to
+`OUT`, and the new index last. A job that was killed at any moment, also during publication, continues from there. An
+older data set stays complete until the newer one is complete.
 """
 
 from __future__ import annotations
@@ -34,12 +34,17 @@ _JOB_NAME = "job.json"
 
 
 class Staging:
-    """Context manager that holds the staging folder of one job, alone.
+    """Context manager that locks the staging folder of one job.
 
     Args:
         out: final folder of the data set.
         description: identity of the job.
         overwrite: whether a finished data set, or another job's unfinished one, may be replaced.
+
+    Attributes:
+        path: the staging folder.
+        resumed: number of shards that an interrupted run of the same job had made.
+        published: whether the data set is in its final folder.
 
     Raises (on entering):
         OutputError: the folder is in use, holds something else, or cannot be written.
@@ -57,7 +62,9 @@ class Staging:
     def __enter__(self) -> Staging:
         with as_output_error(self.out):
             if self.out.exists() and not self.out.is_dir():
-                raise OutputError(f"--out {self.out}: a file of that name is in the way; choose another folder")
+                raise OutputError(
+                    f"out {self.out}: a file of that name is in the way; choose another folder", parameter="out"
+                )
             fresh = [folder for folder in (self.path, self.out) if not folder.exists()]
         make_folder(self.path)
         self._take_lock()
@@ -76,12 +83,16 @@ class Staging:
         self._release()
 
     def publish(self) -> None:
-        """Move the finished data set to its place."""
+        """Move the complete data set to its final folder."""
         _publish(self.path, self.out)
         self.published = True
 
     def discard(self, *, only_if_fresh: bool = True) -> None:
-        """Drop what was made; the final folder too, if nothing else is in it."""
+        """Delete the staging folder, and the final folder if it is empty.
+
+        Args:
+            only_if_fresh: whether to delete an empty final folder.
+        """
         shutil.rmtree(self.path, ignore_errors=True)
         if only_if_fresh:
             with contextlib.suppress(OSError):
@@ -96,7 +107,8 @@ class Staging:
             except OSError:
                 self._lock.close()
                 raise OutputError(
-                    f"--out {self.out}: another labelgen job is writing into it; wait for it or choose another folder"
+                    f"out {self.out}: another labelgen job is writing into it; wait for it or choose another folder",
+                    parameter="out",
                 ) from None
 
     def _release(self) -> None:
@@ -105,7 +117,7 @@ class Staging:
 
     def _prepare(self) -> None:
         job = self._read_job()
-        if (self.path / INDEX_NAME).exists():  # killed while it moved up
+        if (self.path / INDEX_NAME).exists():  # the job was killed during publication
             _publish(self.path, self.out)
             make_folder(self.path)
             if job == self._description:
@@ -127,23 +139,26 @@ class Staging:
     def _refuse_to_replace(self, job: Any) -> None:
         if (self.out / INDEX_NAME).exists():
             raise OutputError(
-                f"--out {self.out}: it already holds a finished data set; add --overwrite or choose another folder"
+                f"{self.out}: it already holds a finished data set; overwrite it or choose another folder",
+                parameter="overwrite",
             )
         if any(self.out.glob("shard-*.h5")):
             raise OutputError(
-                f"--out {self.out}: it holds shards without an index; add --overwrite or choose another folder"
+                f"{self.out}: it holds shards without an index; overwrite them or choose another folder",
+                parameter="overwrite",
             )
         if job is not None and job != self._description:
             raise OutputError(
-                f"--out {self.out}: it holds an unfinished job with other settings or input; add --overwrite to drop "
-                "it or choose another folder"
+                f"{self.out}: it holds an unfinished job with other settings or input; overwrite it or choose another "
+                "folder",
+                parameter="overwrite",
             )
 
     def _read_job(self) -> Any:
         try:
             return json.loads((self.path / _JOB_NAME).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
-            return None  # none was begun here, or nothing can be said of it
+            return None  # no job was begun here, or its file is damaged
 
     def _clear(self) -> None:
         with as_output_error(self.path):
@@ -153,7 +168,7 @@ class Staging:
 
 
 def _publish(staged: Path, out: Path) -> None:
-    """Put the complete data set of one folder in the place of what another one holds; goes on where it was killed."""
+    """Replace the data set of a folder by the staged one; continues a replacement that was interrupted."""
     names = [str(entry["name"]) for entry in read_index(staged)["shards"]]
     with as_output_error(out):
         (out / INDEX_NAME).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The mask job: videos with instance masks -> rectified frames with labels."""
+"""The mask job: from videos with instance masks to shards of rectified frames with labels."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ __all__ = ["MaskSettings", "VideoUnit", "video_job"]
 
 @dataclass(frozen=True)
 class MaskSettings:
-    """Where masks come from and how they become labels.
+    """The mask source of a job, and how masks become labels.
 
     Args:
         masks: "maskrcnn", "background" or "coco:FILE".
-        weights: state dict for Mask R-CNN instead of the COCO weights.
-        score: least score of a mask.
-        rule: how c_c's two candidates become one.
-        limits: what to refuse.
-        device: torch device; None for the GPU when there is one.
+        weights: state dict for Mask R-CNN; None for the COCO weights.
+        score: least score of a mask, in [0, 1].
+        rule: how the two candidates become one c_c.
+        limits: thresholds for labels.
+        device: torch device; None for the GPU where there is one.
     """
 
     masks: str = "maskrcnn"
@@ -50,7 +50,7 @@ class MaskSettings:
     device: str | None = None
 
     def describe(self) -> dict[str, Any]:
-        """For the shards' settings."""
+        """Return the settings as entries of the shards' settings."""
         kind, _, file = self.masks.partition(":")
         return {
             "masks": kind,
@@ -64,7 +64,7 @@ class MaskSettings:
 
 def _digest(path: Path) -> str | None:
     if not path.is_file():
-        return None  # the mask source says what is wrong with it
+        return None  # the mask source raises the error
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -83,18 +83,21 @@ def video_job(
 ) -> Job:
     """Plan the labels of videos.
 
-    Everything that can be wrong with the calibration, the road mask and the mask source is found out here,
-    before anything is written.
+    Calibrations, road masks and the mask source are opened here, so that their errors come before anything is written.
 
     Args:
         scenes: the inputs.
-        pair, size_wh: the rectification.
-        settings: where masks come from.
+        pair: the vanishing points whose directions become axis-parallel.
+        size_wh: size of the rectified frames, px.
+        settings: the mask source, and how masks become labels.
         region: what is rectified.
-        every: take every so many-th frame.
-        limit: stop after so many taken frames of each video.
-        per_shard: taken frames in a shard, with or without vehicles.
-        codec: how images are stored.
+        every: label every so many-th frame.
+        limit: largest number of frames to label in each video; None for all.
+        per_shard: number of labelled frames in a shard, with or without vehicles.
+        codec: encoding of the images; JPEG of quality 95 by default.
+
+    Raises:
+        LabelgenError: an input is given twice, or a calibration, road mask or mask source is not usable.
     """
     codec = codec or ImageCodec()
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
@@ -112,12 +115,18 @@ def video_job(
         used = (scene.frames.path, files.calibration_path, files.mask_path)
         inputs[f"{number}: {files.name}"] = [_fingerprint(path) for path in used]
     originals = {unit.files.name: unit.whereabouts() for unit in units}
-    chosen = {"pair": str(pair), "size": f"{size_wh[0]}x{size_wh[1]}", "limit": limit, "per_shard": per_shard, **common}
-    return Job("bcs-masks", chosen, inputs, units, originals)
+    job_settings = {
+        "pair": str(pair),
+        "size": f"{size_wh[0]}x{size_wh[1]}",
+        "limit": limit,
+        "per_shard": per_shard,
+        **common,
+    }
+    return Job("bcs-masks", job_settings, inputs, units, originals)
 
 
 def _rate_problem(scene: Scene) -> list[str]:
-    """A note where a recording of the data set does not run at the rate that the data set states."""
+    """Return a note if the video runs at another frame rate than the data set states, in a list."""
     announced = scene.frames.fps
     if announced is None or scene.fps is None or abs(announced - scene.fps) <= 0.01 * scene.fps:
         return []
@@ -125,18 +134,18 @@ def _rate_problem(scene: Scene) -> list[str]:
 
 
 def _with_distinct_names(scenes: Sequence[SceneFiles]) -> list[SceneFiles]:
-    """The scenes, those of the same name numbered; a label's source must say which video it is from."""
-    seen: dict[Path, str] = {}
+    """Return the scenes with distinct names, equal ones numbered: the source of a label must name one video."""
+    paths: set[Path] = set()
     used: Counter[str] = Counter()
     named = []
     for scene in scenes:
         path = Path(scene.frames_path or "").resolve()
-        if path in seen:
+        if path in paths:
             raise LabelgenError(f"{path}: it is given twice; name each input once")
-        seen[path] = scene.name
+        paths.add(path)
         used[scene.name] += 1
-        again = used[scene.name]
-        named.append(scene if again == 1 else replace(scene, name=f"{scene.name}-{again}"))
+        count = used[scene.name]
+        named.append(scene if count == 1 else replace(scene, name=f"{scene.name}-{count}"))
     return named
 
 
@@ -149,7 +158,7 @@ def _taken(frame_count: int | None, every: int, limit: int | None) -> int | None
 
 
 def _fingerprint(path: Path) -> str:
-    """Identity of an input: name, size and the hash of its two ends; videos are too long to hash whole."""
+    """Return the identity of an input: name, size and hash of its first and last megabyte; videos are too large for more."""
     if path.is_dir():
         names = [f"{name}:{(path / name).stat().st_size}" for name in ImageFolder(path).file_names]
         return f"{path.name} {hashlib.sha256(chr(10).join(names).encode()).hexdigest()[:16]}"
@@ -163,7 +172,22 @@ def _fingerprint(path: Path) -> str:
 
 @dataclass(frozen=True)
 class VideoUnit:
-    """All shards of one video."""
+    """All shards of one video.
+
+    Args:
+        files: the scene.
+        pair: the vanishing points whose directions become axis-parallel.
+        size_wh: size of the rectified frames, px.
+        region: what is rectified.
+        masks: the mask source, and how masks become labels.
+        every: every so many-th frame is labelled.
+        limit: largest number of labelled frames; None for all.
+        per_shard: number of labelled frames in a shard.
+        codec: encoding of the images.
+        settings: what decides the labels, for the shards.
+        prefix: start of the shards' file names.
+        size: expected number of labelled frames, where known.
+    """
 
     files: SceneFiles
     pair: Pair
@@ -190,11 +214,19 @@ class VideoUnit:
         }
 
     def rectification(self, scene: Scene) -> Rectification:
-        """Return the rectification of the opened scene; raises what is wrong with camera and road mask."""
+        """Return the rectification of the opened scene.
+
+        Raises:
+            LabelgenError: camera and road mask admit none.
+        """
         return Rectification.of_region(self.region, scene.camera, scene.road, self.pair, self.size_wh)
 
     def mask_source(self, scene: Scene) -> MaskSource:
-        """Open the mask source for the scene; raises what is wrong with it."""
+        """Open the mask source for the scene.
+
+        Raises:
+            LabelgenError: it cannot be used.
+        """
         return create_mask_source(
             self.masks.masks,
             weights=self.masks.weights,
@@ -207,8 +239,8 @@ class VideoUnit:
     def _path(self, out: Path, part: int) -> Path:
         return out / f"{self.prefix}-{part:05d}.h5"
 
-    def _there(self, out: Path) -> list[ShardReader]:
-        """Shards on disk, in order, up to the first gap."""
+    def _finished_shards(self, out: Path) -> list[ShardReader]:
+        """Return the shards on disk, in order, up to the first that is missing."""
         readers: list[ShardReader] = []
         expected = {
             "pair": str(self.pair),
@@ -222,7 +254,7 @@ class VideoUnit:
 
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
-        readers = self._there(out)
+        readers = self._finished_shards(out)
         if readers and readers[-1].attributes["last"]:
             return [reader.path for reader in readers]
         return None
@@ -231,11 +263,11 @@ class VideoUnit:
         """See `Unit`."""
         scene = self.files.open()
         frames, rectification, source = scene.frames, self.rectification(scene), self.mask_source(scene)
-        have = len(self._there(out))
+        finished = len(self._finished_shards(out))
         prime_masks(source, frames)
         with ExitStack() as stack:
-            writer = stack.enter_context(self._writer(out, have))
-            first = have * self.per_shard * self.every  # frames before it are in shards that are there
+            writer = stack.enter_context(self._writer(out, finished))
+            first = finished * self.per_shard * self.every  # the frames before are in finished shards
             for frame, masks in masked_frames(
                 frames, source, self._takes, lambda number: number >= first, self._part_of
             ):

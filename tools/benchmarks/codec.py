@@ -1,4 +1,4 @@
-"""How fast the codec is: one million random boxes, decoded and encoded on one thread.
+"""Throughput of the box codec: one million random boxes, decoded and encoded on one thread.
 
 python -m tools.benchmarks.codec [--count 1000000] [--repeat 3]
 """
@@ -18,7 +18,7 @@ __all__ = ["benchmark", "main"]
 
 
 def benchmark(count: int, repeat: int = 3) -> dict[str, float]:
-    """Seconds, the best of `repeat` runs, to decode and to encode `count` boxes."""
+    """Return the seconds to decode and to encode `count` boxes, the best of `repeat` runs, by name."""
     rng = np.random.default_rng(0)
     corners = np.sort(rng.uniform([0, 0], [640, 360], (count, 2, 2)), axis=1)
     boxes, cc = corners.reshape(-1, 4), rng.uniform(0, 1, count)
@@ -40,7 +40,7 @@ def _best_s(call: Callable[[], object], repeat: int) -> float:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
+    """Run the benchmark and print one line per direction; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--repeat", type=int, default=3)

@@ -3,9 +3,9 @@
     python -m tools.benchmarks.labels [--crops 1000] [--frames 40] [--rounds 5]
 
 `boxcars`: decode, warp and encode of crops of about 200 px. `masks`: decode of a 1920x1080 video, warp and encode
-of the taken frames; masks lie ready in memory, so whatever makes them is left out.
+of the labelled frames; masks are read before, so that the time to make them is left out.
 
-Both sides are timed by the processor time of their process, which a busy machine disturbs least.
+Both sides are timed by processor time, which other work on the machine disturbs least.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _write_crops(root: Path, count: int) -> None:
 
 
 def _write_video(root: Path, taken: int, every: int) -> Path:
-    """A full-HD clip with moving cuboids, its calibration, road mask and masks in COCO format."""
+    """Write a full-HD clip with moving cuboids, its calibration, road mask and masks in COCO format."""
     camera, rng = _camera(), np.random.default_rng(1)
     path = root / "clip.mp4"
     ground = cv2.resize(rng.integers(70, 140, (135, 240, 3), dtype=np.uint8), (1920, 1080))
@@ -107,7 +107,7 @@ def _write_video(root: Path, taken: int, every: int) -> Path:
 
 
 def _bare_crops(root: Path) -> None:
-    """What nobody can do without: read and decode, warp, encode."""
+    """Read and decode, warp, encode: the calls that no implementation can avoid."""
     matrix = np.array([[1.5, 0.2, -10.0], [0.1, 0.9, 3.0], [0.0002, 0.0001, 1.0]])
     for path in sorted((root / "images" / "c").iterdir()):
         image = np.asarray(cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR))
@@ -126,7 +126,7 @@ def _bare_video(path: Path, every: int) -> None:
 
 
 def compare(ours: Callable[[], None], bare: Callable[[], None], rounds: int) -> tuple[float, float, float]:
-    """Median seconds of each over alternating rounds, and the median of the rounds' ratios bare / ours."""
+    """Return the median seconds of both actions over alternating rounds, and the median ratio bare / ours."""
     times: list[tuple[float, float]] = []
     for _ in range(rounds):
         pair = []
@@ -140,7 +140,7 @@ def compare(ours: Callable[[], None], bare: Callable[[], None], rounds: int) -> 
 
 
 class _ReadySource:
-    """Masks made beforehand, in the place of a segmentation network."""
+    """A mask source whose masks are in memory."""
 
     name = "ready"
     every_frame = 0
@@ -152,13 +152,13 @@ class _ReadySource:
         self.problems: list[str] = []
 
     def prime(self, frames: Any) -> None:
-        """Nothing to learn."""
+        """Do nothing."""
 
     def observe(self, image: Any) -> None:
-        """Nothing to see."""
+        """Do nothing."""
 
     def masks(self, images: Any, frame_numbers: Any = None, file_names: Any = None) -> list[InstanceMasks]:
-        """The masks of these frames."""
+        """Return the masks of frames."""
         return [self._masks[n] for n in frame_numbers]
 
 
@@ -179,7 +179,7 @@ def _run_all(job: Any, out: Path) -> None:
 
 
 def main() -> None:
-    """Print one line per path: images per second, ours and bare, and the ratio."""
+    """Run the benchmark and print one line per job: images per second, ours and bare, and the ratio."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--crops", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=40, help="taken frames of the video, one in 25")

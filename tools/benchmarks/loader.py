@@ -1,7 +1,7 @@
-"""Samples per second of training data: from shards, from WebDataset tar files, and from plain files, in one run.
+"""Throughput of training data: from shards, from WebDataset tar files, and from plain files, side by side in one run.
 
-All three give the same JPEG bytes and the same labels to the same augmentation; only the way to them differs. Shards
-and plain files are read in the training's own random order, WebDataset in its own: shuffled through a buffer.
+All three give the same JPEG bytes and the same labels to the same augmentation. Shards and plain files are read in the
+training's random order, WebDataset in the order of its shuffle buffer.
 
     python -m tools.benchmarks.loader SHARDS... [--samples 200] [--rounds 15] [--workers 0]
 """
@@ -34,7 +34,7 @@ _BATCH = 8
 
 
 def write_plain(shards: ShardDataset[Sample], folder: Path) -> None:
-    """NUMBER.jpg and NUMBER.json."""
+    """Write each sample as NUMBER.jpg and NUMBER.json into a folder."""
     for i in range(len(shards)):
         sample = shards[i]
         (folder / f"{i:06d}.jpg").write_bytes(sample.encoded)
@@ -42,7 +42,7 @@ def write_plain(shards: ShardDataset[Sample], folder: Path) -> None:
 
 
 def write_tars(shards: ShardDataset[Sample], folder: Path) -> list[str]:
-    """The same in tar files."""
+    """Write the samples as tar files of WebDataset into a folder, and return their paths."""
     paths = []
     for start in range(0, len(shards), _PER_TAR):
         path = folder / f"{start // _PER_TAR:04d}.tar"
@@ -67,7 +67,7 @@ def _to_json(sample: Sample) -> bytes:
 
 
 class _PlainSamples(Dataset[Any]):
-    """The training's samples from plain files."""
+    """The training's samples, read from plain files."""
 
     def __init__(self, samples: TrainingSamples, folder: Path) -> None:
         self._samples, self._folder = samples, folder
@@ -80,18 +80,18 @@ class _PlainSamples(Dataset[Any]):
 
 def _finish(samples: TrainingSamples, encoded: bytes, labels: bytes, number: int) -> Any:
     row = json.loads(labels)
-    found = Labels(np.array(row["boxes"]).reshape(-1, 4), np.array(row["cc"]), flags=np.array(row["flags"]))
+    read = Labels(np.array(row["boxes"]).reshape(-1, 4), np.array(row["cc"]), flags=np.array(row["flags"]))
     image = np.asarray(cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
     rng = np.random.default_rng([0, 3, number])
-    return (*to_tensors(*samples.augment(image, found, np.array(row["scene"]), False, rng)), number)
+    return (*to_tensors(*samples.augment(image, read, np.array(row["scene"]), False, rng)), number)
 
 
 def _drain(batches: Iterator[Any], samples: int) -> tuple[float, float]:
-    """Samples per second over the next so many samples: by the clock, and by this process's time on the processor."""
-    done, begin, busy = 0, time.perf_counter(), time.process_time()
-    while done < samples:
-        done += len(next(batches))
-    return done / (time.perf_counter() - begin), done / (time.process_time() - busy)
+    """Return the samples per second over the next samples, by wall-clock time and by processor time of this process."""
+    count, wall_start, processor_start = 0, time.perf_counter(), time.process_time()
+    while count < samples:
+        count += len(next(batches))
+    return count / (time.perf_counter() - wall_start), count / (time.process_time() - processor_start)
 
 
 def _forever(make: Callable[[], Any]) -> Iterator[Any]:
@@ -113,9 +113,18 @@ class _Numbers:
 
 
 def benchmark(paths: Sequence[Path], samples: int, rounds: int, workers: int) -> dict[str, Any]:
-    """Median samples per second of the three and of each round; ours over each other's, the median of the rounds.
+    """Measure the three loaders in alternating rounds.
 
-    Without loader processes the ratio is by processor time, which other work on the machine disturbs less.
+    Without loader processes the ratios are of processor time, which other work on the machine disturbs less.
+
+    Args:
+        paths: shards.
+        samples: samples of each loader and round.
+        rounds: number of rounds.
+        workers: loader processes.
+
+    Returns:
+        Samples per second of each round, their medians, and the median ratio of shards to each of the others.
     """
     import webdataset
 
@@ -162,7 +171,7 @@ def benchmark(paths: Sequence[Path], samples: int, rounds: int, workers: int) ->
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point."""
+    """Run the benchmark and print its figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("shards", nargs="+", type=Path)
     parser.add_argument("--samples", type=int, default=200, help="of each, per round")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder, write_atomic, write_json
 from labelgen.datasets.scene import is_session
 from labelgen.errors import OutputError
-from labelgen.progress import asked_to_stop
+from labelgen.progress import defer_interrupt
 from labelgen.synth.renderer.renderer import Drawn, Placed, Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import Scene, procedural_scene, visible_range
@@ -256,7 +256,7 @@ def _render(
         if writer is not None:
             stack.enter_context(writer)
         bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
-        stop = stack.enter_context(asked_to_stop())
+        stop = stack.enter_context(defer_interrupt())
         for number in range(count):
             if stop():  # what is written so far is a shorter recording, complete in itself
                 complete = False

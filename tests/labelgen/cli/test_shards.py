@@ -74,7 +74,8 @@ def test_merge(labelgen, shards: Path, tmp_path: Path) -> None:
     assert labelgen("validate", "both").returncode == 0
     again = labelgen("merge", shards / "masks", "--out", "both")
     assert again.returncode == 2
-    assert "already holds a finished data set; add --overwrite" in again.stderr
+    assert "already holds a finished data set; overwrite it" in again.stderr
+    assert "(option --overwrite)" in again.stderr
     assert labelgen("merge", shards / "masks", "--out", "both", "--overwrite").returncode == 0
     assert "one of the folders to merge" in labelgen("merge", "both", "--out", "both").stderr
 
@@ -106,5 +107,5 @@ def test_audit_without_the_originals(labelgen, shards: Path, tmp_path: Path) -> 
     (folder / "shard-00000.h5").write_bytes((shards / "masks" / "shard-00000.h5").read_bytes())
     done = labelgen("audit", folder, "--out", "look", "--count", 3)
     assert done.returncode == 0, done.stderr
-    assert "the original of the first sample is not at hand" in done.stderr
+    assert "the original of the first sample is not available" in done.stderr
     assert (tmp_path / "look" / "labels-00.png").exists()
