@@ -158,7 +158,7 @@ def _taken(frame_count: int | None, every: int, limit: int | None) -> int | None
 
 
 def _fingerprint(path: Path) -> str:
-    """Return the identity of an input: name, size and hash of its first and last megabyte; videos are too large for more."""
+    """Return the identity of an input: name, size, and the hash of its first and last MiB, as videos are large."""
     if path.is_dir():
         names = [f"{name}:{(path / name).stat().st_size}" for name in ImageFolder(path).file_names]
         return f"{path.name} {hashlib.sha256(chr(10).join(names).encode()).hexdigest()[:16]}"
