@@ -1,0 +1,1 @@
+"""From frames with detections to speeds of vehicles; `pipeline` describes the way."""

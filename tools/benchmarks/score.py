@@ -1,8 +1,8 @@
-"""Vehicles per second of the BrnoCompSpeed scoring, beside the same protocol car by car, in the same run.
+"""Vehicles per second of the BrnoCompSpeed scoring, compared with the same protocol car by car in the same run.
 
     python -m tools.benchmarks.score [--dataset DIR --results DIR --system NAME] [--limit N] [--json FILE]
 
-Without a data set it makes its own traffic. Both sides start from the parsed files; reading them is timed apart.
+Without a data set it makes up traffic. Both sides start from the parsed files; the time to read them is not counted.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Recording:
 
 
 def synthetic_recording(cars: int, seed: int = 0) -> Recording:
-    """Two lanes of traffic towards the camera in a 1920x1080 frame at 50 fps, in the public files' form."""
+    """Make up two lanes of traffic towards the camera, 1920x1080 at 50 fps, in the form of the public files."""
     rng = np.random.default_rng(seed)
     camera = Camera(np.array([900.5, -300.0]), np.array([60000.0, 500.0]), np.array([960.5, 540.5]), 0.02)
     x_m = camera.road_points([[960.5, y] for y in (1000.0, 250.0)])[:, 0]
@@ -51,9 +51,9 @@ def synthetic_recording(cars: int, seed: int = 0) -> Recording:
         times = np.arange(int((x_m[1] - x_m[0]) / speed * 3.6 * 50) + 40) / 50
         along = x_m[1] + 5 - speed / 3.6 * times
         pixels = camera.project(np.stack([along, np.full_like(along, -1.75 if lane else 1.75)], axis=1))
-        seen = (pixels[:, 1] > 0) & (pixels[:, 1] < 1080)
-        noisy = pixels[seen] + rng.normal(0, 0.7, (np.count_nonzero(seen), 2))
-        frames = np.rint((start_s + times[seen]) * 50).astype(int)
+        inside = (pixels[:, 1] > 0) & (pixels[:, 1] < 1080)
+        noisy = pixels[inside] + rng.normal(0, 0.7, (np.count_nonzero(inside), 2))
+        frames = np.rint((start_s + times[inside]) * 50).astype(int)
         end_s = start_s + (x_m[1] + 5 - x_m[0]) / speed * 3.6
         crossings = [{"measurementLineId": 1, "videoTime": start_s}, {"measurementLineId": 0, "videoTime": end_s}]
         truth_cars.append(
@@ -81,7 +81,7 @@ def _real(dataset: Path, results: Path, system: str) -> Iterator[Recording]:
 
 
 def measure(recording: Recording, limit: int) -> dict[str, Any]:
-    """Seconds for the first `limit` cars both ways, and whether they agree."""
+    """Return the seconds that both ways take for the first `limit` cars, and whether their scores agree."""
     cars = recording.results["cars"][:limit]
     calibration = recording.results["camera_calibration"]
     truth = parse_ground_truth(recording.truth)
@@ -104,7 +104,7 @@ def measure(recording: Recording, limit: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure, print and write the figures."""
+    """Measure all recordings, print the figures and write them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dataset", type=Path, help="folder of recordings")
     parser.add_argument("--results", type=Path, help="folder of result files")

@@ -1,7 +1,7 @@
-"""The BrnoCompSpeed protocol car by car and point by point, as the public script goes about it.
+"""The BrnoCompSpeed protocol car by car and point by point, in the order of the public script.
 
-Slow on purpose: what `tools.benchmarks.score` measures against, and what tests hold the vectorised protocol to. Written
-from the protocol's description, sharing nothing with `detector.evaluation` but the input files' contents.
+It is slow. `tools.benchmarks.score` measures the vectorised protocol against it, and tests compare both scores. It is
+written from the description of the protocol and shares no code with `detector.evaluation`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _lane(point: Point, lane_lines: Sequence[Point]) -> int | None:
 
 
 class _Road:
-    """Road plane at offset 10 in the result files' own frame."""
+    """The road plane at offset 10, in the coordinates of the result files."""
 
     def __init__(self, calibration: Mapping[str, Any]) -> None:
         vp1, vp2, pp = (np.array(calibration[key], dtype=np.float64) for key in ("vp1", "vp2", "pp"))
@@ -51,18 +51,18 @@ class _Road:
 
 
 def _keep(car: dict[str, Any], truth: Mapping[str, Any], end_s: float) -> bool:
-    """Whether the protocol counts a car; its points near the border are taken away on the way."""
+    """Return whether the protocol counts a car; add its points away from the border to it."""
     if not isinstance(car["posX"], list) or car["frames"][0] / truth["fps"] >= end_s:
         return False
-    kept = [
+    inside = [
         (x, y, frame)
         for x, y, frame in zip(car["posX"], car["posY"], car["frames"], strict=True)
         if 10 < x < 1910 and 10 < y < 1070
     ]
-    if len(kept) <= 5:
+    if len(inside) <= 5:
         return False
-    car["points"] = [np.array([x, y, 1.0]) for x, y, _ in kept]
-    car["times"] = [frame for _, _, frame in kept]
+    car["points"] = [np.array([x, y, 1.0]) for x, y, _ in inside]
+    car["times"] = [frame for _, _, frame in inside]
     lanes = [_lane(point, truth["laneDivLines"]) for point in car["points"]]
     if any(lane is None or lane in truth["invalidLanes"] for lane in lanes):
         return False
@@ -79,7 +79,7 @@ def _regress(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
 
 
 def _crossing(car: dict[str, Any], line: Point) -> tuple[Point, float]:
-    """Place (homogeneous) and frame at which a car crosses a line."""
+    """Return place (homogeneous) and frame at which a car crosses a line."""
     order = sorted(
         zip(car["points"], car["times"], strict=True),
         key=lambda item: abs(np.dot(line, item[0])) / np.linalg.norm(line[:2]),
@@ -99,7 +99,7 @@ def _crossing(car: dict[str, Any], line: Point) -> tuple[Point, float]:
 
 
 def _measure(car: dict[str, Any], truth: Mapping[str, Any], road: _Road) -> bool:
-    """Crossings, lane and speed of a car; False where they cannot be determined."""
+    """Add lane, time and speed to a car; return False where they cannot be determined."""
     crossings = [_crossing(car, line) for line in truth["measurementLines"]]
     (last, last_frame), (first, first_frame) = crossings[0], crossings[-1]
     lane = _lane(last, truth["laneDivLines"])
@@ -125,18 +125,18 @@ def score_car_by_car(
     """
     last_times = [car["intersections"][-1]["videoTime"] for car in truth["cars"]]
     road = _Road(calibration)
-    kept = [car for car in map(dict, cars) if _keep(car, truth, max(last_times))]
+    counted = [car for car in map(dict, cars) if _keep(car, truth, max(last_times))]
     with np.errstate(all="ignore"):
-        measured = [car for car in kept if _measure(car, truth, road)]
+        measured = [car for car in counted if _measure(car, truth, road)]
     errors, matched = [], []
     for true_car, time_s in zip(truth["cars"], last_times, strict=True):
-        there = [car for car in measured if car["lane"] in true_car["laneIndex"]]
-        there.sort(key=lambda car: abs(car["last_s"] - time_s))
-        if there and abs(there[0]["last_s"] - time_s) < 0.2:
-            matched.append(there[0]["id"])
+        in_lane = [car for car in measured if car["lane"] in true_car["laneIndex"]]
+        in_lane.sort(key=lambda car: abs(car["last_s"] - time_s))
+        if in_lane and abs(in_lane[0]["last_s"] - time_s) < 0.2:
+            matched.append(in_lane[0]["id"])
             if true_car["valid"]:
-                errors.append(abs(there[0]["speed"] - true_car["speed"]))
-    failures = len(kept) - len(measured)
+                errors.append(abs(in_lane[0]["speed"] - true_car["speed"]))
+    failures = len(counted) - len(measured)
     spare = [car for car in measured if min(last_times) <= car["last_s"] < max(last_times) and car["id"] not in matched]
     return {
         "errors": errors,

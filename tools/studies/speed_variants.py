@@ -50,7 +50,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=False)
 
 _TWIN = {Variant.TRANSFORM2D: Variant.TRANSFORM3D, Variant.PREVIOUS2D: Variant.PREVIOUS3D}
 """2D variants whose boxes are those of a 3D variant, so that masks are rectified once for both."""
-_LOOK_EVERY = 10
+_OFFSETS_EVERY = 10
 _NEAR_M = (6.0, 1.7)
 """Farther away than this along and across the road a true point belongs to another vehicle."""
 _ORDER = (
@@ -64,8 +64,8 @@ _ORDER = (
 
 
 @dataclass
-class _Lane:
-    """One variant at work."""
+class _VariantRun:
+    """One variant with its tracks and offsets so far."""
 
     name: str
     view: MeasurementView
@@ -74,13 +74,13 @@ class _Lane:
     cars: list[dict[str, Any]]
     offsets_m: list[Any]
 
-    def add(self, found: Detections) -> None:
-        _, vehicles = self.meter.add(found)
+    def add(self, detections: Detections) -> None:
+        _, vehicles = self.meter.add(detections)
         self.cars += [vehicle.to_car() for vehicle in vehicles]
 
 
 def _masks(drawn: Sequence[Drawn], frame_wh: tuple[int, int]) -> InstanceMasks:
-    """Exact masks as a mask source gives them."""
+    """Return exact masks in the form of a mask source."""
     count = len(drawn)
     return InstanceMasks(
         frame_wh,
@@ -94,7 +94,7 @@ def _masks(drawn: Sequence[Drawn], frame_wh: tuple[int, int]) -> InstanceMasks:
 def truth_masks(
     scene: Scene, trips: Sequence[Trip], renderer: Renderer, count: int, fps: float
 ) -> Iterator[tuple[int, float, InstanceMasks]]:
-    """Frame number, time and masks of each frame."""
+    """Yield frame number, time in seconds and exact masks of each frame."""
     spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
     vehicles: dict[int, Any] = {}
     for number in range(count):
@@ -106,25 +106,26 @@ def truth_masks(
 
 
 def _steady(trip: Trip) -> Trip:
-    """The same trip at one speed from its first to its last recorded crossing.
+    """Return the same trip at one speed from its first to its last recorded crossing.
 
-    Recorded crossings of the lines between come frame by frame, so that speeds from line to line jump; the protocol's
-    median then differs from the mean speed by half a km/h even on true points, which would hide the variants' errors.
+    Recorded crossings are rounded to frames, so that the speed differs from one line to the next. The median of the
+    protocol then differs from the mean speed by half a km/h even on true points, which would hide the errors of the
+    variants.
     """
     return replace(trip, knots_s=trip.knots_s[[0, -1]], knots_x=trip.knots_x[[0, -1]])
 
 
-def _lanes(
+def _variant_runs(
     camera: Camera, road: RoadMask, fps: float, rule: Rule, outlines: bool
-) -> tuple[list[_Lane], dict[str, str]]:
-    """All variants with both pairs, and why some are not possible here."""
-    lanes, impossible = [], {}
+) -> tuple[list[_VariantRun], dict[str, str]]:
+    """Return all variants with both pairs, and by name why others are not possible in this scene."""
+    runs, impossible = [], {}
     mask_extent = MaskExtent.BODY if outlines else None
     sizes = load_manifest("brnocompspeed")["sizes"]
     for pair in Pair:
         for variant in _ORDER:
             if variant is Variant.ORIG2D and pair is not Pair.VP2_VP3:
-                continue  # nothing of it depends on the pair
+                continue  # it does not depend on the pair
             name = str(variant) if variant is Variant.ORIG2D else f"{variant} {pair}"
             try:
                 view = MeasurementView.create(
@@ -133,8 +134,10 @@ def _lanes(
             except RectificationError as err:
                 impossible[name] = str(err)
                 continue
-            lanes.append(_Lane(name, view, MaskPlacer(view, road, pair, rule), SpeedMeter(camera, fps=fps), [], []))
-    return lanes, impossible
+            runs.append(
+                _VariantRun(name, view, MaskPlacer(view, road, pair, rule), SpeedMeter(camera, fps=fps), [], [])
+            )
+    return runs, impossible
 
 
 def measure_session(
@@ -148,9 +151,9 @@ def measure_session(
     kinds: Sequence[str] | None = None,
     outlines: bool = False,
 ) -> dict[str, Any]:
-    """Replay a session's traffic and score every variant.
+    """Replay the traffic of a session and score every variant.
 
-    `outlines` moves measured points from the lowest line of the masks to the vehicles' near ends, as `labelgen speed`
+    `outlines` moves measured points from the lowest line of the masks to the contact points, as `labelgen speed`
     does.
 
     Returns:
@@ -162,33 +165,34 @@ def measure_session(
     trips = [_steady(trip) for trip in replayed]
     assert scene.background is not None
     renderer = Renderer(scene.camera, scene.background, light, seed=seed)
-    lanes, impossible = _lanes(scene.camera, RoadMask(scene.road_mask), fps, rule, outlines)
+    runs, impossible = _variant_runs(scene.camera, RoadMask(scene.road_mask), fps, rule, outlines)
     count = round(duration_s * fps)
     exact: dict[int, dict[str, Any]] = {}
     for number, time_s, masks in tqdm(
         truth_masks(scene, trips, renderer, count, fps), total=count, desc=scene.name, unit="frame", mininterval=10
     ):
         _exact(exact, scene, trips, number, time_s)
-        done: dict[str, Detections] = {}
-        for lane in lanes:
-            twin = _TWIN.get(lane.view.variant)
-            source = done.get(lane.name.replace(str(lane.view.variant), str(twin))) if twin else None
+        detections_of: dict[str, Detections] = {}
+        for run in runs:
+            twin = _TWIN.get(run.view.variant)
+            source = detections_of.get(run.name.replace(str(run.view.variant), str(twin))) if twin else None
             if source is None:
-                found = lane.placer.place(number, time_s, masks)
+                detections = run.placer.place(number, time_s, masks)
             else:
-                found, _ = lane.view.place(number, time_s, source.boxes_xyxy, None, source.scores, source.class_ids)
-            done[lane.name] = found
-            lane.add(found)
-            if number % _LOOK_EVERY == 0:
-                lane.offsets_m += _offsets(scene.camera, found, trips, time_s)
+                boxes = (source.boxes_xyxy, None, source.scores, source.class_ids)
+                detections, _ = run.view.place(number, time_s, *boxes)
+            detections_of[run.name] = detections
+            run.add(detections)
+            if number % _OFFSETS_EVERY == 0:
+                run.offsets_m += _offsets(scene.camera, detections, trips, time_s)
     truth = parse_ground_truth(ground_truth(scene, trips, duration_s, fps, surveyed))
     rows = {"true points": _score(scene, truth, list(exact.values()))}
-    for lane in lanes:
-        lane.cars += [vehicle.to_car() for vehicle in lane.meter.finish()]
-        rows[lane.name] = _score(scene, truth, lane.cars)
-        offsets = np.array(lane.offsets_m).reshape(-1, 2)
-        rows[lane.name] |= {"rejects": dict(lane.placer.rejects), "along_m": offsets[:, 0].tolist()}
-        rows[lane.name]["across_m"] = offsets[:, 1].tolist()
+    for run in runs:
+        run.cars += [vehicle.to_car() for vehicle in run.meter.finish()]
+        rows[run.name] = _score(scene, truth, run.cars)
+        offsets = np.array(run.offsets_m).reshape(-1, 2)
+        rows[run.name] |= {"rejects": dict(run.placer.rejects), "along_m": offsets[:, 0].tolist()}
+        rows[run.name]["across_m"] = offsets[:, 1].tolist()
     return {
         "session": scene.name,
         "duration_s": duration_s,
@@ -202,18 +206,18 @@ def measure_session(
     }
 
 
-def _offsets(camera: Camera, found: Detections, trips: Sequence[Trip], time_s: float) -> list[Any]:
-    """Measured minus true point, metres along and across the road, of vehicles whose foot is in the picture."""
-    measured = camera.road_points(found.contact_points_px[found.contact_visible], invalid="nan")
+def _offsets(camera: Camera, detections: Detections, trips: Sequence[Trip], time_s: float) -> list[Any]:
+    """Return measured minus true points, metres along and across the road, where the contact is visible."""
+    measured = camera.road_points(detections.contact_points_px[detections.contact_visible], invalid="nan")
     true = np.array([trip.near_point(time_s) for trip in trips])
     apart = measured[:, None] - true
     nearest = np.hypot(apart[..., 0], 2 * apart[..., 1]).argmin(axis=1) if len(measured) else np.empty(0, dtype=int)
-    chosen = apart[np.arange(len(measured)), nearest]
-    return [pair for pair in chosen.round(3).tolist() if abs(pair[0]) < _NEAR_M[0] and abs(pair[1]) < _NEAR_M[1]]
+    offsets = apart[np.arange(len(measured)), nearest]
+    return [pair for pair in offsets.round(3).tolist() if abs(pair[0]) < _NEAR_M[0] and abs(pair[1]) < _NEAR_M[1]]
 
 
 def _exact(tracks: dict[int, dict[str, Any]], scene: Scene, trips: Sequence[Trip], number: int, time_s: float) -> None:
-    """The true measured points of a frame: what the protocol makes of tracks without any error."""
+    """Add the true contact points of a frame to tracks, which the protocol then scores as tracks without error."""
     size = np.asarray(scene.camera.image_wh)
     for trip in trips:
         point = scene.camera.project(trip.near_point(time_s))
@@ -235,7 +239,7 @@ def _score(scene: Scene, truth: GroundTruth, cars: list[dict[str, Any]]) -> dict
 
 
 def format_tables(parts: Sequence[dict[str, Any]]) -> str:
-    """Markdown: tables over all sessions, of all vehicles and of those that every variant found; one per session."""
+    """Return Markdown: tables over all sessions, of all vehicles and of the common ones; and one table per session."""
     names = list(dict.fromkeys(name for part in parts for name in part["rows"]))
     out = [_table(parts, names)]
     everywhere = [name for name in names if all(name in part["rows"] for part in parts)]
@@ -257,12 +261,16 @@ _HEAD = (
 
 def _table(parts: Sequence[dict[str, Any]], names: Sequence[str], *, common: bool = False) -> str:
     lines = ["| " + " | ".join(_HEAD) + " |", "| --- | --- |" + " ---: |" * (len(_HEAD) - 2)]
-    everyone = [
+    rows_of = [
         np.isfinite([_errors(part["rows"][name]) for name in names]).all(axis=0) if common else slice(None)
         for part in parts
     ]
     for name in names:
-        rows = [(part["rows"][name], kept) for part, kept in zip(parts, everyone, strict=True) if name in part["rows"]]
+        rows = [
+            (part["rows"][name], common_rows)
+            for part, common_rows in zip(parts, rows_of, strict=True)
+            if name in part["rows"]
+        ]
         if rows:
             lines.append("| " + " | ".join(_cells(name, rows)) + " |")
     return "\n".join(lines) + "\n"
@@ -273,16 +281,16 @@ def _errors(row: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _cells(name: str, rows: Sequence[tuple[dict[str, Any], Any]]) -> list[str]:
-    errors = np.concatenate([_errors(row)[kept] for row, kept in rows])
+    errors = np.concatenate([_errors(row)[common_rows] for row, common_rows in rows])
     wrong = sum(row["false_positives"] for row, _ in rows)
     variant, pair = (name, "-") if " VP" not in name else name.split(" ")
-    found = errors[np.isfinite(errors)]
-    cells = [variant, pair, str(len(errors)), f"{len(found) / max(len(errors), 1):.3f}"]
-    cells.append(f"{len(found) / max(len(found) + wrong, 1):.3f}")
-    if not len(found):
+    known = errors[np.isfinite(errors)]
+    cells = [variant, pair, str(len(errors)), f"{len(known) / max(len(errors), 1):.3f}"]
+    cells.append(f"{len(known) / max(len(known) + wrong, 1):.3f}")
+    if not len(known):
         return [*cells, *["-"] * 7]
-    size = np.abs(found)
-    figures = (size.mean(), np.median(size), np.percentile(size, 95), size.max(), found.mean())
+    size = np.abs(known)
+    figures = (size.mean(), np.median(size), np.percentile(size, 95), size.max(), known.mean())
     offsets = [np.concatenate([row.get(key, []) for row, _ in rows]) for key in ("along_m", "across_m")]
     places = [f"{np.median(np.abs(values)):.2f}" if len(values) else "-" for values in offsets]
     return [*cells, *(f"{value:.2f}" for value in figures), *places]
@@ -298,7 +306,9 @@ def measure(
     start: Annotated[float | None, typer.Option(help="Second of the recording to begin at.")] = None,
     rule: Annotated[str, typer.Option(help="wider or conditioned.")] = "wider",
     kind: Annotated[str | None, typer.Option(help="Only this kind of vehicle; box: solid cuboids.")] = None,
-    outlines: Annotated[bool, typer.Option(help="Measure at near ends, as `labelgen speed` does from masks.")] = False,
+    outlines: Annotated[
+        bool, typer.Option(help="Measure at contact points, as `labelgen speed` does from masks.")
+    ] = False,
 ) -> None:
     """Measure sessions and write their figures."""
     make_folder(out)

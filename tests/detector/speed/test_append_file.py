@@ -1,4 +1,4 @@
-"""Growing files: whole after every record, and after a record that did not fit."""
+"""Files that grow by records: readable after every record, and after one that did not fit on the disk."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_what_cannot_be_made_is_an_output_error(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_keeps_what_was_there(tmp_path: Path) -> None:
-    """The limit on file size stands in for a full disk: the write in the middle of a record fails."""
+    """A limit on the file size simulates a full disk: writing fails in the middle of a record."""
     path = tmp_path / "r.json"
     code = f"""
 import json, resource

@@ -1,4 +1,4 @@
-"""Views: which picture boxes lie in, and where a box puts its vehicle on the road."""
+"""Measurement views: the image in which boxes lie, and the contact points of boxes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_names() -> None:
 
 @pytest.mark.parametrize("pair", list(Pair))
 @pytest.mark.parametrize("variant", [Variant.TRANSFORM3D, Variant.PREVIOUS3D, Variant.MASKRCNN3D])
-def test_the_foot_is_the_middle_of_the_near_edge_on_the_road(variant: Variant, pair: Pair) -> None:
+def test_the_contact_point_is_the_middle_of_the_near_edge_on_the_road(variant: Variant, pair: Pair) -> None:
     view = make_view(variant, pair)
     for drive in (Drive(50, 30.0, 4.0), Drive(50, 38.0, -3.0), Drive(50, 22.0, 0.3)):
         found = exact_detections(view, [drive], 0, 0.0)
@@ -130,8 +130,8 @@ def test_a_frame_without_masks(variant: Variant) -> None:
     assert found.to_dict()["boxes"] == []
 
 
-def test_parts_of_a_vehicle_are_no_vehicles() -> None:
-    """A box whose foot stands within the floor of a larger one; cars behind, in front and beside are their own."""
+def test_parts_of_a_vehicle_are_inside_its_box() -> None:
+    """A box on the floor of a larger one is a part of its vehicle; cars behind, in front and beside are not."""
     lorry = Drive(50, 24.0, 0.0, size_lwh=(9.0, 2.5, 3.5))
     part = Drive(50, 28.0, 0.2, size_lwh=(1.5, 1.2, 1.0))
     others = [Drive(50, 34.0, 0.0), Drive(50, 18.0, 0.0), Drive(50, 26.0, 3.4), Drive(50, 26.0, -3.4)]

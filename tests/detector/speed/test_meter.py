@@ -1,4 +1,4 @@
-"""Speeds of cuboids that drive at known speeds, seen without any error."""
+"""Speeds of cuboids that drive at known speeds, with exact boxes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_dropped_frames_do_not_change_the_speed() -> None:
 
 @pytest.mark.parametrize(("fps", "expected"), [(50.0, 2), (None, 1)])
 def test_a_long_gap_in_time_ends_tracks_where_the_rate_is_known(fps: float | None, expected: int) -> None:
-    """After two seconds without frames whatever stands at the same place is another vehicle, or nobody knows."""
+    """After two seconds without frames, a vehicle at the same place may be another one."""
     crawl = Drive(1.0, 30.0)
     times = [*(n / 50 for n in range(40)), *(2.8 + n / 50 for n in range(40))]
     rules = MeasureRules(min_length_px=1.0)
@@ -148,7 +148,7 @@ def test_rules_scale_with_the_frame() -> None:
 
 
 def test_points_cut_off_do_not_count() -> None:
-    """Of a car that leaves the picture at its lower border only the points count at which its foot was in it."""
+    """Points of a car that leaves the frame at the lower border count while its contact with the road is visible."""
     view = make_view(Variant.TRANSFORM3D)
     [vehicle] = drive_past(view, [Drive(80.0, 40.0)], STEADY)
     assert vehicle.points_px[:, 1].max() < 1080 - 10
@@ -160,12 +160,12 @@ def test_points_cut_off_do_not_count() -> None:
 def test_speed_so_far_comes_with_the_sixth_point() -> None:
     view = make_view(Variant.TRANSFORM3D)
     meter = SpeedMeter(view.camera)
-    seen = []
+    speeds = []
     for number in range(8):
         meter.add(exact_detections(view, [Drive(80.0, 45.0)], number, number / 50))
-        seen.append(meter.speed_so_far(1))
-    assert np.isnan(seen[:5]).all()
-    assert seen[5:] == pytest.approx([80.0] * 3, abs=0.01)
+        speeds.append(meter.speed_so_far(1))
+    assert np.isnan(speeds[:5]).all()
+    assert speeds[5:] == pytest.approx([80.0] * 3, abs=0.01)
     assert np.isnan(meter.speed_so_far(99))
 
 

@@ -1,4 +1,4 @@
-"""The whole way from frames to files, with a detector that sees colours."""
+"""From frames to files, with a detector that detects colours."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from labelgen.media.timed_frames import TimedFrames
 
 
 class ColourDetector:
-    """Finds what is blue. Knows VPU, as a trained network would have learnt it."""
+    """Detects blue vehicles. Unlike a trained network it is given VPU."""
 
     batch_size = 7
 
@@ -75,8 +75,8 @@ def test_a_detector_needs_a_rectified_picture() -> None:
 
 
 @pytest.mark.parametrize("error", [DataError("the cable is out"), KeyboardInterrupt()])
-def test_whatever_ends_it_the_vehicles_are_on_disk(tmp_path: Path, error: BaseException) -> None:
-    """One has passed long before, one is still in the picture when the frames break off."""
+def test_vehicles_are_written_when_frames_break_off(tmp_path: Path, error: BaseException) -> None:
+    """One vehicle has passed before the frames break off, and one is still in the frame."""
     view = make_view(Variant.TRANSFORM3D)
     drives = [Drive(90.0, 36.0, 2.0), Drive(40.0, 36.0, -3.0)]
     files = ResultFiles.of(tmp_path, "road", "transform3d")

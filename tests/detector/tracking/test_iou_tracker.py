@@ -1,4 +1,4 @@
-"""The tracker on small tables of boxes whose right answer can be seen."""
+"""The tracker on small tables of boxes with known tracks."""
 
 from __future__ import annotations
 
