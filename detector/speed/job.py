@@ -20,7 +20,7 @@ from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rule
 from labelgen.geometry.homography import Array
-from labelgen.masks import MaskSource, create_mask_source, prime_masks
+from labelgen.masks import MaskKind, MaskSource, create_mask_source, parse_masks, prime_masks
 from labelgen.masks.background.source import BackgroundMasks
 from labelgen.masks.gated import GatedMasks
 from labelgen.media.frames import Frame, FrameSource
@@ -63,7 +63,8 @@ class MaskSpeedSettings:
     device: str | None = None
 
     def __post_init__(self) -> None:
-        background = self.masks == "background"
+        kind, _ = parse_masks(self.masks)
+        background = kind is MaskKind.BACKGROUND
         if self.variant is Variant.DUBSKA and not background:
             raise LabelgenError(
                 "variant dubska: its vehicles are all that moves, so it takes background masks only; use maskrcnn3d "
@@ -82,7 +83,7 @@ class MaskSpeedSettings:
         if not self.correct_contact_point:
             return None
         # The outlines of `sochor` are a background model's, too.
-        shaded = self.masks == "background" or self.variant is Variant.SOCHOR
+        shaded = parse_masks(self.masks)[0] is MaskKind.BACKGROUND or self.variant is Variant.SOCHOR
         return MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
 
 

@@ -91,6 +91,7 @@ def bcs_masks(
     check_report_path(json_file)
     manifest = load_manifest("brnocompspeed")
     size_wh = rectified_size(size, pair, manifest)
+    settings = MaskSettings(masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device)
     # What is wrong with any input is found out before the first one is calibrated.
     scenes = [find_scene(path, calibration=calibration, road_mask=road_mask, may_lack=True) for path in inputs]
     if out is None:
@@ -99,7 +100,6 @@ def bcs_masks(
         out = Path("shards") / scenes[0].name
     single = len(scenes) == 1
     scenes = [complete_scene(scene, out if single else out / scene.name, need_scale=False) for scene in scenes]
-    settings = MaskSettings(masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device)
     job = video_job(
         scenes,
         pair,

@@ -20,7 +20,7 @@ from labelgen.geometry.rectification import Rectification
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.labels import Sample
-from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
+from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, parse_masks, prime_masks
 from labelgen.media.frames import Frame
 from labelgen.media.image_folder import ImageFolder
 from labelgen.shards import Reject, ShardReader, ShardWriter
@@ -49,12 +49,15 @@ class MaskSettings:
     limits: LabelLimits = LABEL_LIMITS
     device: str | None = None
 
+    def __post_init__(self) -> None:
+        parse_masks(self.masks)
+
     def describe(self) -> dict[str, Any]:
         """Return the settings as entries of the shards' settings."""
-        kind, _, file = self.masks.partition(":")
+        kind, file = parse_masks(self.masks)
         return {
-            "masks": kind,
-            "masks_sha256": _digest(Path(file)) if file else None,
+            "masks": str(kind),
+            "masks_sha256": _digest(file) if file else None,
             "weights_sha256": _digest(self.weights) if self.weights else None,
             "score": self.score,
             "rule": str(self.rule),
@@ -204,12 +207,12 @@ class VideoUnit:
 
     def whereabouts(self) -> dict[str, str | None]:
         """Return where the originals lie on this machine."""
-        kind, _, file = self.masks.masks.partition(":")
+        kind, file = parse_masks(self.masks.masks)
         return {
             "path": str(Path(self.files.frames_path or "").resolve()),
             "calibration": str(self.files.calibration_path.resolve()),
             "road_mask": str(self.files.mask_path.resolve()),
-            "masks": f"{kind}:{Path(file).resolve()}" if file else kind,
+            "masks": f"{kind}:{file.resolve()}" if file else str(kind),
             "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
         }
 

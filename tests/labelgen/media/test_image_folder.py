@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import struct
 import zlib
 from pathlib import Path
@@ -12,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labelgen.datasets.scene import find_scene, read_mask
-from labelgen.datasets.scene_picture import read_picture
+from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError
 from labelgen.media.image_file import decode_image, read_image
 from labelgen.media.image_folder import ImageFolder
@@ -72,47 +69,3 @@ def test_opencv_keeps_its_own_log_level(tmp_path: Path) -> None:
     with pytest.raises(DataError):
         decode_image(np.frombuffer(PNG[:1000], np.uint8), "x")
     assert cv2.utils.logging.getLogLevel() == before
-
-
-def _scene_files(folder: Path, stem: str) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{stem}.calibration.json").write_text(json.dumps({"vp1": [1, 2]}))
-    (folder / f"{stem}.mask.png").write_bytes(PNG)
-
-
-@pytest.mark.parametrize("given", [".", "../frames", "../frames/", "../frames/.."])
-def test_folders_are_known_by_their_real_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: str) -> None:
-    frames = tmp_path / "frames"
-    frames.mkdir()
-    name = "frames" if not given.endswith("..") else tmp_path.name
-    _scene_files(tmp_path if name == "frames" else tmp_path.parent, name)
-    monkeypatch.chdir(frames)
-    scene = find_scene(Path(given))
-    assert scene.name == name
-    assert scene.calibration_path.name == f"{name}.calibration.json"
-
-
-def test_a_linked_video_may_have_its_files_beside_the_link_or_the_target(tmp_path: Path) -> None:
-    (tmp_path / "store").mkdir()
-    (tmp_path / "store" / "real.mp4").write_bytes(b"")
-    link = tmp_path / "link.mp4"
-    os.symlink(tmp_path / "store" / "real.mp4", link)
-    _scene_files(tmp_path / "store", "real")
-    assert find_scene(link).calibration_path.name == "real.calibration.json"
-    _scene_files(tmp_path, "link")
-    assert find_scene(link).calibration_path.name == "link.calibration.json"
-
-
-def test_a_frame_of_a_session_without_its_video_needs_the_video(tmp_path: Path) -> None:
-    session = tmp_path / "dataset" / "session9_left"
-    _scene_files(session, "unused")
-    (session / "video_mask.png").write_bytes(PNG)
-    (session / "screen.png").write_bytes(PNG)
-    scene = find_scene(session, calibration=session / "unused.calibration.json", need_frames=False)
-    np.testing.assert_array_equal(read_picture(scene), PICTURE)
-    with pytest.raises(DataError, match="session9_left: frame 5 needs its video, which is not there"):
-        read_picture(scene, 5)
-    (session / "screen.png").unlink()
-    scene = find_scene(session, calibration=session / "unused.calibration.json", need_frames=False)
-    with pytest.raises(DataError, match="neither a video nor a picture of the empty road"):
-        read_picture(scene)
