@@ -75,8 +75,9 @@ def scale_from_dimensions(
     sizes, times = sizes_lwh[usable], times_s[usable]
     if len(sizes) < settings.min_silhouettes:
         raise CalibrationError(
-            f"scale: {len(sizes)} silhouettes have a 3D box, at least {settings.min_silhouettes} are needed; "
-            f"{USE_DISTANCE}"
+            f"auto-dimensions: {len(sizes)} silhouettes have a 3D box, at least {settings.min_silhouettes} are needed; "
+            f"{USE_DISTANCE}",
+            parameter="scale",
         )
     ratios = mean / np.median(sizes, axis=0)
     rng = np.random.default_rng(seed)

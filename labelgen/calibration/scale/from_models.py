@@ -112,8 +112,9 @@ def scale_from_models(
     count, least = len(measured.sizes), settings.min_silhouettes
     if count < least:
         raise CalibrationError(
-            f"scale: {count} silhouettes of vehicles are large and whole enough to fit models to, at least {least} are "
-            f"needed; {USE_DISTANCE}"
+            f"auto-models: {count} silhouettes of vehicles are large and whole enough to fit models to, at least "
+            f"{least} are needed; {USE_DISTANCE}",
+            parameter="scale",
         )
     hypotheses = BodyHypotheses.from_bodies(common_bodies())
     fitted = _fit_sizes(unit, measured, hypotheses, settings)
@@ -124,8 +125,9 @@ def scale_from_models(
     explained = int(np.count_nonzero(evidence[:, best] > np.log(2 * settings.unknown_probability)))
     if explained < least or best in (0, len(grid) - 1):
         raise CalibrationError(
-            f"scale: {explained} of {count} silhouettes look like vehicles along the road, at least {least} are "
-            f"needed; {USE_DISTANCE}"
+            f"auto-models: {explained} of {count} silhouettes look like vehicles along the road, at least {least} are "
+            f"needed; {USE_DISTANCE}",
+            parameter="scale",
         )
     log_size = guess + _parabola_peak(evidence.sum(axis=0), best, grid)
     return ScaleEstimate(

@@ -79,9 +79,9 @@ def traffic(
 )
 def test_bundle_adjustment_reduces_the_error_of_sliding_features(target, focal):
     camera = replace(look_at_road(9.0, target, focal, WH, 0.5), pp=np.array([960.0, 540.0]))
-    seen, silhouettes = traffic(camera, 30, slide=0.009)
-    first = estimate_orientation("drawn", seen, None)
-    refined = refine_orientation(seen, first, silhouettes)
+    observations, silhouettes = traffic(camera, 30, slide=0.009)
+    first = estimate_orientation("drawn", observations, None)
+    refined = refine_orientation(observations, first, silhouettes)
     before, after = angle_deg(camera, first.camera), angle_deg(camera, refined.camera)
     assert before > 0.3
     # Here everything slides, also what is at the vehicles' sides, of which tracks are believed to 10 px.
@@ -105,12 +105,12 @@ def test_sliding_features_in_the_middle_of_vehicles_do_not_move_vp1():
 
 def test_without_reobserved_vehicles_the_camera_stays():
     camera = look_at_road(9.0, (35.0, 5.0), 2000, WH, 0.5)
-    seen, silhouettes = traffic(camera, 12, slide=0.0)
-    first = estimate_orientation("drawn", seen, None)
+    observations, silhouettes = traffic(camera, 12, slide=0.0)
+    first = estimate_orientation("drawn", observations, None)
     once = {silhouette.time_s // 4: silhouette for silhouette in silhouettes}
-    assert refine_orientation(seen, first, []) is first
-    assert refine_orientation(seen, first, list(once.values())) is first
-    assert refine_orientation(seen, first, [replace(silhouette, joined=True) for silhouette in silhouettes]) is first
+    assert refine_orientation(observations, first, []) is first
+    assert refine_orientation(observations, first, list(once.values())) is first
+    assert refine_orientation(observations, first, [replace(s, joined=True) for s in silhouettes]) is first
 
 
 # -- one vehicle, several silhouettes ---------------------------------------------------------------------------
