@@ -33,7 +33,7 @@ class DimensionScaleSettings:
     """How the scale is estimated from dimensions."""
 
     min_silhouettes: int = 8
-    """Fewest silhouettes with a 3D box; fewer give no median worth the name."""
+    """Fewest silhouettes with a 3D box; with fewer the median depends on single vehicles."""
     block_s: float = 5.0
     """Length of the stretches of video that are resampled, seconds; a vehicle should lie in about one."""
     resamples: int = 200

@@ -47,7 +47,7 @@ class ModelScaleSettings:
     steps: int = 8
     """Steps of the fit."""
     steps_before_choice: int = 4
-    """Steps after which hopeless hypotheses are dropped."""
+    """Steps after which improbable hypotheses are dropped."""
     max_score_gap: float = 10.0
     """A hypothesis whose log-probability is this much below the best one's of its silhouette is dropped; smaller values
     save time and may drop the right one."""
