@@ -16,7 +16,7 @@ from detector.tracking.iou_tracker import DUPLICATE
 from detector.visualize import draw_boxes
 from labelgen.atomic_files import as_output_error
 from labelgen.drawing import CYAN, GREEN, WHITE, YELLOW, Picture, draw_box3d, draw_polyline, draw_text
-from labelgen.errors import OutputError
+from labelgen.errors import LabelgenError, OutputError
 from labelgen.media.frames import Frame
 from labelgen.media.video_writer import VideoWriter
 
@@ -159,8 +159,12 @@ def draw_detections(view: MeasurementView, frame: NDArray[np.uint8], detections:
 
     Returns:
         (h, w, 3) uint8 BGR, the rectified image.
+
+    Raises:
+        LabelgenError: the view has no rectification.
     """
-    assert view.rectification is not None
+    if view.rectification is None:
+        raise LabelgenError(f"view: variant {view.variant} rectifies nothing to draw in", parameter="view")
     image = view.rectification.warp_image(frame)
     draw_boxes(image, detections.boxes_xyxy, detections.cc, detections.scores, view.rectification.vpu)
     return image

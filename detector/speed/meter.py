@@ -12,6 +12,7 @@ from detector.speed.detections import Detections, inside_larger_box
 from detector.speed.measured_vehicle import SPEED_GAP, MeasuredVehicle, TrackPoints, measure_track
 from detector.tracking.iou_tracker import DUPLICATE, IouTracker, TrackRules
 from detector.tracking.per_track import gap_speeds_kmh
+from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array
 
@@ -75,6 +76,9 @@ class SpeedMeter:
     Attributes:
         dropped: number of tracks that were dropped, by reason.
         duplicates: number of boxes that were duplicates of a better one, or parts of a larger one.
+
+    Raises:
+        CalibrationError: the camera does not know the size of its frame.
     """
 
     def __init__(
@@ -85,7 +89,8 @@ class SpeedMeter:
         rules: MeasureRules | None = None,
         lane_lines: Array | None = None,
     ) -> None:
-        assert camera.image_wh is not None
+        if camera.image_wh is None:
+            raise CalibrationError(f"camera {camera.name or '(unnamed)'}: its frame's size is not known")
         self.rules = rules or MeasureRules.for_frame(camera.image_wh)
         self.dropped: Counter[str] = Counter()
         self.duplicates = 0

@@ -69,8 +69,13 @@ def calibrate(
     check_new_file("--picture", picture, overwrite)
     if picture is not None:
         picture_suffix("--picture", picture)
+    principal_point = _point(pp)
     calibration = calibrate_with_scale(
-        open_frames(video), scale or ["auto-models"], need_scale=bool(scale), pp=_point(pp), duration_s=duration
+        open_frames(video),
+        scale or ["auto-models"],
+        need_scale=bool(scale),
+        pp=principal_point,
+        duration_s=duration,
     )
     make_folder(out.absolute().parent)
     write_json(out, calibration.to_dict())

@@ -169,8 +169,7 @@ def label_outlines(outlines: Sequence[RectifiedOutline], vpu: ArrayLike, rule: R
     rule = Rule(rule)
     u, v = (float(x) for x in np.asarray(vpu, dtype=np.float64))
     if not outlines:
-        nothing = np.empty(0)
-        return MaskLabels(np.empty((0, 4)), nothing, np.empty((0, 2)), np.empty(0, dtype=np.bool_))
+        return MaskLabels(np.empty((0, 4)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_))
     boxes = np.stack([outline.box_xyxy for outline in outlines])
     below = v > (boxes[:, 1] + boxes[:, 3]) / 2
     flip = np.where(below, -1.0, 1.0)
@@ -230,6 +229,6 @@ def _candidates(
         corner = np.where(u < x0, x0, x1)
         at_bottom = v + (y0 - v) * slopes * (y1 - v) / np.where(corner == u, np.nan, corner - u)
     if on_side is None:
-        # With VPU between the sides a tangent can only leave through a side; pixel borders may say otherwise.
+        # With VPU between the sides every tangent leaves through a side, even where pixel borders contradict.
         on_side = (at_side <= y1) | ((u >= x0) & (u <= x1))
     return np.where(on_side, at_side, at_bottom), on_side

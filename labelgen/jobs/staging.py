@@ -24,7 +24,7 @@ from labelgen.shards.validate import content_is_intact
 
 try:
     import fcntl
-except ImportError:  # not on Windows, where nothing keeps two jobs apart
+except ImportError:  # not on Windows, where two jobs are not kept apart
     fcntl = None  # type: ignore[assignment]
 
 __all__ = ["STAGING_NAME", "Staging"]
@@ -72,7 +72,7 @@ class Staging:
             self._prepare()
         except BaseException:
             self._release()
-            if fresh:  # leave no trace where nothing was begun
+            if fresh:  # leave no empty folder of a job that did not begin
                 self.discard(only_if_fresh=self.out in fresh)
             raise
         return self

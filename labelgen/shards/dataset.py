@@ -106,7 +106,8 @@ class ShardDataset(Generic[Item]):
         """Return a field of all shards, joined along its first axis.
 
         Args:
-            name: of the field in the format, for instance "labels/cc"; not of offsets, which start at 0 in each shard.
+            name: name of the field in the format, for instance "labels/cc". Joined offsets are of no use: they start at
+                0 in each shard.
         """
         return np.concatenate([reader.table(name) for reader in self.readers])
 

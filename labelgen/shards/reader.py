@@ -61,8 +61,8 @@ class ShardReader:
         self.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {key: value for key, value in self.__dict__.items() if key not in _STALE_AFTER_UNPICKLING}
-        return {**kept, "_file": None, "_pid": 0, "_images": None}
+        state = {key: value for key, value in self.__dict__.items() if key not in _STALE_AFTER_UNPICKLING}
+        return {**state, "_file": None, "_pid": 0, "_images": None}
 
     def close(self) -> None:
         """Close the file; the next access opens it again."""

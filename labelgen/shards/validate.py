@@ -72,18 +72,18 @@ def validate_folder(folder: Path) -> list[str]:
         if key == "shards":
             stated = [{k: v for k, v in entry.items() if k != "original"} for entry in index["shards"]]
             problems += [
-                f"{INDEX_NAME}: what it says of {a['name']} is not so"
+                f"{INDEX_NAME}: its entry of {a['name']} differs from the shard"
                 for a, b in zip(value, stated, strict=True)
                 if a != b
             ]
         elif index.get(key) != value:
-            problems.append(f"{INDEX_NAME}: {key} is {index.get(key)!r}, its shards say {value!r}")
+            problems.append(f"{INDEX_NAME}: {key} is {index.get(key)!r}, in its shards {value!r}")
     kinds = {(reader["pair"], reader["size"]) for reader in _attributes([present[name] for name in names])}
     if len(kinds) > 1:
         problems.append(f"shards of different pairs or sizes: {', '.join(' '.join(kind) for kind in sorted(kinds))}")
     try:
         if (folder / REJECTS_NAME).read_bytes() != rejects:
-            problems.append(f"{REJECTS_NAME}: not what the shards say")
+            problems.append(f"{REJECTS_NAME}: differs from the shards")
     except OSError as err:
         problems.append(f"{REJECTS_NAME}: {err.strerror or err}")
     return problems

@@ -33,6 +33,7 @@ _STAGES = (
     ("labelgen.calibration.observation.edgelets", "EdgeletFinder", "update", "edges"),
     ("labelgen.calibration.observation.background_image", "BackgroundImageEstimator", "update", "background frames"),
     ("labelgen.calibration.observation.silhouettes", "SilhouetteCollector", "update", "silhouettes"),
+    ("labelgen.calibration.observation.silhouettes", "SilhouetteCollector", "silhouettes", "silhouettes"),
     ("labelgen.calibration.scale.methods", "ScaleMethod", "__call__", "scale"),
     (
         "labelgen.calibration.observation.background_image",

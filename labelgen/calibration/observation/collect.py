@@ -20,7 +20,7 @@ from labelgen.geometry.homography import Array
 from labelgen.media.frames import Frame, FrameSource
 from labelgen.progress import progress_bar
 
-__all__ = ["ObservationSettings", "Observations", "Track", "observe"]
+__all__ = ["ObservationSettings", "Observations", "observe"]
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ObservationSettings:
     """Which frames of a video are worked on, and what is gathered from them."""
 
     track_fps: float = 15.0
-    """Frames per second on which features are followed; more cost time and lengthen no track."""
+    """Frames per second on which features are followed; more cost time, with fewer fast vehicles are lost."""
     default_fps: float = 25.0
     """Frame rate where the source states none."""
     max_gap_frames: float = 2.5

@@ -38,13 +38,13 @@ class EdgeletSettings:
     max_zones: int = 12
     """Largest zones of a frame that are searched; more cost time and add distant vehicles."""
     min_zone_px: int = 24
-    """Zones with a shorter side, px of the full frame, hold no edge worth the search."""
+    """Zones with a shorter side, px of the full frame, are not searched: edges there are too short."""
     min_moving_share: float = 0.6
     """Least share of an edge's probes on moving pixels; lower values let edges of the background in."""
     probes: int = 9
     """Points along an edge at which motion is looked up."""
     probe_margin: float = 0.1
-    """Share of the edge's length that is left out at each end: end points reach beyond the vehicle."""
+    """Share of the edge's length that is left out at each end: end points may lie beside the motion."""
     max_edgelets: int = 40000
     """Above this number every second edgelet is dropped, and from then on every second frame is skipped: memory."""
 

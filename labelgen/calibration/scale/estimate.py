@@ -12,8 +12,8 @@ from labelgen.errors import CalibrationError
 
 __all__ = ["USE_DISTANCE", "ScaleEstimate", "time_blocks"]
 
-USE_DISTANCE = "use more of the video, or give a known distance (distance:x1,y1,x2,y2,METRES)"
-"""What to do where the video carries no scale."""
+USE_DISTANCE = "use more of the video, or a known distance, distance:x1,y1,x2,y2,METRES"
+"""What to do where the video carries no scale; see `labelgen.calibration.scale.methods`."""
 
 
 @dataclass(frozen=True)

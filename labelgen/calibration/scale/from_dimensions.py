@@ -33,7 +33,7 @@ class DimensionScaleSettings:
     """How the scale is estimated from dimensions."""
 
     min_silhouettes: int = 8
-    """Fewest silhouettes with a 3D box; fewer give no median worth the name."""
+    """Fewest silhouettes with a 3D box; with fewer the median depends on single vehicles."""
     block_s: float = 5.0
     """Length of the stretches of video that are resampled, seconds; a vehicle should lie in about one."""
     resamples: int = 200
@@ -75,8 +75,9 @@ def scale_from_dimensions(
     sizes, times = sizes_lwh[usable], times_s[usable]
     if len(sizes) < settings.min_silhouettes:
         raise CalibrationError(
-            f"scale: {len(sizes)} silhouettes have a 3D box, at least {settings.min_silhouettes} are needed; "
-            f"{USE_DISTANCE}"
+            f"auto-dimensions: {len(sizes)} silhouettes have a 3D box, at least {settings.min_silhouettes} are needed; "
+            f"{USE_DISTANCE}",
+            parameter="scale",
         )
     ratios = mean / np.median(sizes, axis=0)
     rng = np.random.default_rng(seed)

@@ -47,7 +47,7 @@ class ModelScaleSettings:
     steps: int = 8
     """Steps of the fit."""
     steps_before_choice: int = 4
-    """Steps after which hopeless hypotheses are dropped."""
+    """Steps after which improbable hypotheses are dropped."""
     max_score_gap: float = 10.0
     """A hypothesis whose log-probability is this much below the best one's of its silhouette is dropped; smaller values
     save time and may drop the right one."""
@@ -112,8 +112,9 @@ def scale_from_models(
     count, least = len(measured.sizes), settings.min_silhouettes
     if count < least:
         raise CalibrationError(
-            f"scale: {count} silhouettes of vehicles are large and whole enough to fit models to, at least {least} are "
-            f"needed; {USE_DISTANCE}"
+            f"auto-models: {count} silhouettes of vehicles are large and whole enough to fit models to, at least "
+            f"{least} are needed; {USE_DISTANCE}",
+            parameter="scale",
         )
     hypotheses = BodyHypotheses.from_bodies(common_bodies())
     fitted = _fit_sizes(unit, measured, hypotheses, settings)
@@ -124,8 +125,9 @@ def scale_from_models(
     explained = int(np.count_nonzero(evidence[:, best] > np.log(2 * settings.unknown_probability)))
     if explained < least or best in (0, len(grid) - 1):
         raise CalibrationError(
-            f"scale: {explained} of {count} silhouettes look like vehicles along the road, at least {least} are "
-            f"needed; {USE_DISTANCE}"
+            f"auto-models: {explained} of {count} silhouettes look like vehicles along the road, at least {least} are "
+            f"needed; {USE_DISTANCE}",
+            parameter="scale",
         )
     log_size = guess + _parabola_peak(evidence.sum(axis=0), best, grid)
     return ScaleEstimate(

@@ -39,22 +39,22 @@ class ScaleMethod:
         return self.estimate(camera, silhouettes)
 
 
-def parse_scale_method(texts: Sequence[str]) -> ScaleMethod:
-    """Return the method that texts name.
+def parse_scale_method(scale: Sequence[str]) -> ScaleMethod:
+    """Return the method of a name.
 
     Args:
-        texts: one automatic method; or any number of known distances, along or across the road (`SCALE_METHODS`).
+        scale: one automatic method; or any number of known distances, along or across the road (`SCALE_METHODS`).
 
     Raises:
         CalibrationError: an unknown method, a distance of the wrong form, or methods that exclude each other.
     """
-    kinds = [text.partition(":")[::2] for text in texts]
+    kinds = [text.partition(":")[::2] for text in scale]
     if kinds and all(kind in ("distance", "lane") for kind, _ in kinds):
         known = [parse_distance(rest, across=kind == "lane") for kind, rest in kinds]
         return ScaleMethod("distance", lambda camera, _: scale_from_distances(camera, known))
     if len(kinds) != 1:
         raise CalibrationError(
-            f"scale {' '.join(texts)}: give one method, or known distances; {SCALE_METHODS}", parameter="scale"
+            f"scale {' '.join(scale)}: give one method, or known distances; {SCALE_METHODS}", parameter="scale"
         )
     kind, rest = kinds[0]
     if kind == "auto-models" and not rest:
@@ -62,7 +62,7 @@ def parse_scale_method(texts: Sequence[str]) -> ScaleMethod:
     if kind == "auto-dimensions":
         mean = _parse_sizes(rest) if rest else MEAN_VEHICLE_M
         return ScaleMethod(kind, lambda camera, silhouettes: scale_from_dimensions(camera, silhouettes, mean_m=mean))
-    raise CalibrationError(f"scale {texts[0]}: unknown method; use {SCALE_METHODS}", parameter="scale")
+    raise CalibrationError(f"scale {scale[0]}: unknown method; use {SCALE_METHODS}", parameter="scale")
 
 
 def _parse_sizes(text: str) -> tuple[float, ...]:

@@ -49,13 +49,14 @@ class OrientationSettings:
     max_scatter_share: float = 0.03
     """Largest scatter of a track about its line, as a share of its length; above it the track is no line."""
     scatter_px: float = 2.0
-    """Added to the largest scatter, px: the noise of short tracks."""
+    """Added to that largest scatter, px: the noise of short tracks."""
     min_outer_tracks: int = 40
-    """With so many tracks at the sides of vehicles, those between them nearly do not count: they err together."""
+    """From so many tracks at the sides of vehicles on, those between the sides have `inner_weight`: their errors are
+    alike, and more of them do not average out."""
     inner_weight: float = 0.02
-    """Weight of the tracks between the sides then."""
+    """Weight of the tracks between the sides, relative to those at the sides."""
     edges_per_vehicle: float = 20.0
-    """Edges of one vehicle are seen in many frames; all are worth as much as so many independent ones."""
+    """Independent edges that all edges of one vehicle together count as: the same edge is seen in many frames."""
     lines: TrackLineSettings = field(default_factory=TrackLineSettings)
     """Of the tracks as lines."""
     groups: VehicleGroupSettings = field(default_factory=VehicleGroupSettings)

@@ -36,7 +36,7 @@ class Vp1Settings:
     min_heading_sd: float = 0.002
     """Least standard deviation of the vehicles' headings about VP1, rad."""
     max_heading_sd: float = 0.01
-    """Largest one, rad, from which the fit starts; larger values leave VP1 to few vehicles' perspective."""
+    """Largest one, rad, from which the fit starts; with larger values VP1's place along the horizon is less certain."""
     noise_px: float = 1.0
     """Standard deviation of a feature's position, px, beside a track's own scatter."""
     start_limit: float = 6.0

@@ -18,23 +18,24 @@ class VehicleFitSettings:
     """How bodies are fitted to silhouettes.
 
     Shadow and swelling describe background masks; their means were measured on rendered sessions. A larger mean makes
-    the fitted vehicles smaller, and with that the scale; a larger standard deviation leaves more of it to each outline.
+    the fitted vehicles smaller in road units, and the scale larger; a larger standard deviation leaves more to each
+    outline.
     """
 
     directions: int = 24
     """Directions, evenly spread in the image, in which outlines are compared; more cost time."""
     independent_directions: float = 10.0
-    """Neighbouring directions err together: all are worth as much as so many independent measurements."""
+    """Independent measurements that all directions together count as: errors of neighbouring ones are alike."""
     shadow_mean: float = 0.035
     """How far a silhouette reaches below the vehicle's lowest point, as a share of its size: the shadow beneath."""
     shadow_sd: float = 0.04
-    """Standard deviation of that."""
+    """Standard deviation of the shadow's reach."""
     shadow_exponent: int = 20
     """Power of the downward component of a direction with which the shadow's reach falls off: none at the corners."""
     swelling_mean: float = 0.003
     """How far a silhouette reaches beyond the vehicle in all directions, as a share of its size."""
     swelling_sd: float = 0.01
-    """Standard deviation of that."""
+    """Standard deviation of the swelling."""
     error_width_share: float = 1.6e-3
     """Standard deviation of an outline's reach, as a share of the frame's width: masks are made on small copies."""
     error_size_share: float = 0.02
@@ -45,7 +46,7 @@ class VehicleFitSettings:
     max_step: float = 0.2
     """Largest change of a shape parameter per step; larger ones overshoot from rough starts."""
     max_move_m: float = 4.0
-    """Largest change of a position per step and axis, metres by the current size."""
+    """Largest change of a position per step and axis, metres at the current size."""
     typical_width_m: float = 1.9
     """Width of the vehicle that the first guess of the size assumes, metres."""
     typical_half_length_m: float = 2.2

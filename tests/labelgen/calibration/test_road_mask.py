@@ -22,8 +22,8 @@ def drive(camera: Camera, y_m: float, start_m: float, end_m: float, *, height_m:
     x = np.linspace(start_m, end_m, 12)
     points = camera.project(np.stack([x, np.full(12, y_m), np.full(12, height_m)], axis=1))
     assert camera.image_wh is not None
-    seen = ((points > 0) & (points < camera.image_wh)).all(axis=1)
-    return Track(np.arange(12.0)[seen], points[seen])
+    inside = ((points > 0) & (points < camera.image_wh)).all(axis=1)
+    return Track(np.arange(12.0)[inside], points[inside])
 
 
 def traffic(camera: Camera, low_m: float, high_m: float, *, away: bool = False, count: int = 150) -> list[Track]:
@@ -52,22 +52,22 @@ def iou(one: np.ndarray, two: np.ndarray) -> float:
 @pytest.mark.parametrize("away", [False, True])
 def test_the_road_is_where_traffic_runs(away: bool, factor: float) -> None:
     camera = make_camera(factor)
-    found = estimate_road_mask(replace(camera, scale=None), traffic(camera, -5.5, 5.5, away=away))
-    assert found.pixels.shape == (camera.image_wh[1], camera.image_wh[0])  # type: ignore[index]
+    road = estimate_road_mask(replace(camera, scale=None), traffic(camera, -5.5, 5.5, away=away))
+    assert road.pixels.shape == (camera.image_wh[1], camera.image_wh[0])  # type: ignore[index]
     rows = band(camera, -40.0, 40.0)
-    assert iou(found.pixels & rows, band(camera, -5.5, 5.5)) > 0.85
-    assert found.along == 1.0
+    assert iou(road.pixels & rows, band(camera, -5.5, 5.5)) > 0.85
+    assert road.along == 1.0
     for pair in Pair:
-        Rectification.from_road_mask(camera, found.pixels, pair, (480, 270))
+        Rectification.from_road_mask(camera, road.pixels, pair, (480, 270))
 
 
 def test_two_directions_are_two_carriageways() -> None:
     camera = make_camera()
     tracks = [*traffic(camera, 4.0, 9.0), *traffic(camera, -9.0, -4.0, away=True)]
-    found = estimate_road_mask(camera, tracks).pixels
+    road = estimate_road_mask(camera, tracks).pixels
     for y, expected in ((6.5, True), (0.0, False), (-6.5, True)):
         column, row = camera.project([30.0, y]).astype(int)
-        assert found[row, column] == expected, y
+        assert road[row, column] == expected, y
 
 
 def test_what_crosses_the_road_does_not_widen_it() -> None:
@@ -76,10 +76,10 @@ def test_what_crosses_the_road_does_not_widen_it() -> None:
     for x in np.linspace(20, 60, 30):
         points = camera.project(np.stack([np.full(20, x), np.linspace(-12, 12, 20)], axis=1))
         across.append(Track(np.arange(20.0), points))
-    found = estimate_road_mask(camera, [*traffic(camera, -4.0, 4.0), *across])
-    assert found.along == pytest.approx(150 / 180)
+    road = estimate_road_mask(camera, [*traffic(camera, -4.0, 4.0), *across])
+    assert road.along == pytest.approx(150 / 180)
     rows = band(camera, -40.0, 40.0)
-    assert iou(found.pixels & rows, band(camera, -4.0, 4.0)) > 0.8
+    assert iou(road.pixels & rows, band(camera, -4.0, 4.0)) > 0.8
 
 
 def test_refusals() -> None:

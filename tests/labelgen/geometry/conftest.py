@@ -1,3 +1,5 @@
+"""A plain camera, its road, and the rectification of both pairs."""
+
 from __future__ import annotations
 
 import cv2

@@ -1,4 +1,4 @@
-"""The codec: a golden box, a million ways round trip, the six cases, validity, vertex orders."""
+"""The box codec: boxes worked out by hand, round trips in all six cases, validity, vertex orders."""
 
 from __future__ import annotations
 

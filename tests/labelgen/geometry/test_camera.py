@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 
 import numpy as np
@@ -86,7 +85,7 @@ def test_missing_files_are_named(tmp_path):
 def test_written_and_read_again_it_is_the_same_camera(tmp_path, scale):
     camera = Camera(**{**GOOD, "scale": scale}, image_wh=[640, 360], name="east")
     path = tmp_path / "east.json"
-    path.write_text(json.dumps(camera.to_dict()), encoding="utf-8")
+    camera.save(path)
     again = Camera.load(path, image_wh=(640, 360))
     assert again == camera
     assert hash(again) == hash(camera)

@@ -163,7 +163,7 @@ def test_tight_and_loose_masks_move_the_label_little(vpu, grow):
     assert labels.cc[0] == pytest.approx(share, abs=0.1)
 
 
-def test_touching_the_pictures_border_is_like_any_other_place():
+def test_masks_at_the_images_border_are_labelled():
     vpu = VPUS["above, left"]
     mask, _ = _drawn([0, 100, 280, 280], 0.3, vpu)
     labels = label_outlines([mask_outline(mask)], vpu)
@@ -187,7 +187,7 @@ def test_without_tangents_there_is_no_label(vpu):
         np.testing.assert_array_equal(labels.boxes_xyxy[0], [180, 100, 460, 280])
 
 
-def test_a_mask_without_a_label_leaves_its_neighbours_alone():
+def test_a_mask_without_a_label_does_not_change_other_labels():
     vpu = (300.0, 90.0)
     high, low = np.zeros((360, 640), bool), np.zeros((360, 640), bool)
     high[80:120, 180:460], low[200:300, 200:400] = True, True

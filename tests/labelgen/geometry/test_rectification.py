@@ -221,7 +221,7 @@ def test_vp2_may_lie_far_away_on_either_side(distance, side, road):
     assert row[0, 0] < row[1, 0]
 
 
-def test_a_corner_without_a_place_in_the_frame_does_not_void_the_coverage():
+def test_a_corner_beyond_the_horizon_keeps_the_coverage_finite():
     # One corner of the output lies beyond the frame's line at infinity; 95 % of the output lies inside the frame.
     camera = Camera([300, 70], [5400, 210], [320, 180], image_wh=(640, 360))
     mask = np.zeros((360, 640), np.uint8)
@@ -302,7 +302,7 @@ def test_points_go_both_ways(rectification):
     assert rectification.points([300.0, 200.0]).shape == (2,)
 
 
-def test_points_beyond_the_line_at_infinity_have_no_place(camera, road):
+def test_points_beyond_the_line_at_infinity_are_nan(camera, road):
     rect = Rectification.from_road_mask(camera, road, Pair.VP1_VP2, (180, 320))
     assert np.isnan(rect.points([[300, -60], [300, 200]])).all(axis=1).tolist() == [True, False]
 
@@ -314,7 +314,7 @@ def test_the_sign_of_the_matrix_does_not_matter(rectification):
     np.testing.assert_allclose(flipped.points_back(flipped.points(points)), points, atol=1e-9)
 
 
-def test_boxes_hold_what_they_held(rectification):
+def test_boxes_warped_back_contain_the_original_ones(rectification):
     boxes = np.array([[250, 150, 330, 220], [300, 200, 301, 201]], dtype=float)
     rectified = rectification.boxes(boxes)
     inside = np.random.default_rng(0).uniform(boxes[0, :2], boxes[0, 2:], (500, 2))

@@ -108,7 +108,7 @@ def test_atlas_and_images_agree_up_to_jpeg(labelgen, tmp_path: Path) -> None:
         assert np.abs(a.image.astype(int) - b.image).mean() < 3
 
 
-def test_splits_are_noted(labelgen, tree: Path, tmp_path: Path) -> None:
+def test_splits_are_stored(labelgen, tree: Path, tmp_path: Path) -> None:
     _run(labelgen, tree, tmp_path / "out", *EVERYTHING)
     seen = {int(s.source.split("/")[1]): s.split for s in ShardDataset([tmp_path / "out"])}
     assert seen == {v: Split.TRAIN if v % 2 == 0 else Split.VALIDATION if v == 1 else Split.TEST for v in range(12)}
@@ -155,7 +155,7 @@ def _break(tree: Path) -> dict[str, str]:
     return expected
 
 
-def test_bad_instances_are_listed_and_stop_nothing(labelgen, tmp_path: Path) -> None:
+def test_bad_instances_become_rejects(labelgen, tmp_path: Path) -> None:
     write_tree(tmp_path / "tree", vehicles=6, json=False, atlas=False)
     expected = _break(tmp_path / "tree")
     report = _run(labelgen, tmp_path / "tree", tmp_path / "out", *EVERYTHING)
@@ -165,7 +165,7 @@ def test_bad_instances_are_listed_and_stop_nothing(labelgen, tmp_path: Path) -> 
     assert report["labels"] == 18 - len(lines)
 
 
-def test_a_camera_that_cannot_be_costs_only_its_own_instances(labelgen, tmp_path: Path) -> None:
+def test_an_impossible_camera_rejects_only_its_own_instances(labelgen, tmp_path: Path) -> None:
     write_tree(tmp_path / "tree", vehicles=6, json=False, atlas=False)
     path = tmp_path / "tree" / "dataset.pkl"
     data = pickle.loads(path.read_bytes())
@@ -250,7 +250,7 @@ def _unfinish(out: Path, lose: str) -> Path:
     return staged
 
 
-def test_leftovers_of_another_job_are_kept_until_told_otherwise(labelgen, tree: Path, tmp_path: Path) -> None:
+def test_an_unfinished_job_with_other_settings_needs_overwrite(labelgen, tree: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     _run(labelgen, tree, out, "--per-shard", 7, *EVERYTHING)
     wanted = _hashes(out)
@@ -294,7 +294,7 @@ def test_the_old_data_set_stays_when_the_new_job_fails(labelgen, tree: Path, tmp
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
-def test_killed_while_it_moves_up_it_ends_whole(labelgen, tree: Path, tmp_path: Path) -> None:
+def test_a_publication_that_was_killed_is_completed(labelgen, tree: Path, tmp_path: Path) -> None:
     """The state after a kill between two renames, made by hand from an old and a new data set."""
     old, new = tmp_path / "old", tmp_path / "new"
     _run(labelgen, tree, old, "--per-shard", 5, "--pair", "VP1-VP2", *EVERYTHING)
@@ -361,7 +361,7 @@ def test_cameras_of_the_tree_are_real_ones() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs Linux")
-def test_damaged_annotations_are_one_clear_error(tmp_path: Path) -> None:
+def test_damaged_annotations_give_one_error_line(tmp_path: Path) -> None:
     from labelgen.datasets.boxcars116k import BoxCars
     from labelgen.datasets.manifest import load_manifest
 

@@ -89,7 +89,7 @@ BROKEN: list[tuple[Callable[[Any], None], dict[str, int], int]] = [
 
 @pytest.mark.parametrize("kind", ["pkl", "json"])
 @pytest.mark.parametrize(("change", "reasons", "labels"), BROKEN, ids=range(len(BROKEN)))
-def test_damaged_values_cost_only_what_needs_them(
+def test_damaged_values_reject_only_their_instances(
     tmp_path: Path, change: Callable[[Any], None], reasons: dict[str, int], labels: int, kind: str
 ) -> None:
     data = _plain(write_tree(tmp_path / "tree", vehicles=6, per_vehicle=2, atlas=False))
@@ -102,7 +102,7 @@ def test_damaged_values_cost_only_what_needs_them(
         assert "\0" not in line["source"]
 
 
-def test_json_too_deep_to_read_is_one_clear_error(tmp_path: Path) -> None:
+def test_json_too_deep_to_read_gives_one_error_line(tmp_path: Path) -> None:
     write_tree(tmp_path, vehicles=1, pkl=False, atlas=False)
     (tmp_path / "json_data" / "dataset.json").write_text("[" * 100_000)
     with pytest.raises(DataError, match=r"dataset\.json: not JSON") as caught:
@@ -135,7 +135,7 @@ def test_cameras_are_the_same_as_numbers_and_as_text(tmp_path: Path) -> None:
     assert _run(tmp_path / "tree", tmp_path / "out").labels == 18
 
 
-def test_boxes_outside_and_specks_are_no_labels(tmp_path: Path) -> None:
+def test_boxes_outside_and_tiny_crops_are_rejects(tmp_path: Path) -> None:
     data = write_tree(tmp_path / "tree", vehicles=6, per_vehicle=1, json=False, atlas=False)
     entries = [sample["instances"][0] for sample in data["samples"]]
     sides = np.ptp(entries[0]["3DBB"], axis=0)
@@ -195,7 +195,7 @@ def test_the_atlas_is_part_of_the_job(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("split", [{"train": [(float("inf"), 0)], "validation": [], "test": []}, {"train": 3}, [1]])
-def test_damaged_splits_are_one_clear_error(tmp_path: Path, split: Any) -> None:
+def test_damaged_splits_give_one_error_line(tmp_path: Path, split: Any) -> None:
     write_tree(tmp_path, vehicles=1, json=False, atlas=False)
     (tmp_path / "classification_splits.pkl").write_bytes(pickle.dumps({"hard": split}, protocol=2))
     with pytest.raises(DataError, match="split 'hard' is not of the form"):
@@ -205,7 +205,7 @@ def test_damaged_splits_are_one_clear_error(tmp_path: Path, split: Any) -> None:
 @pytest.mark.parametrize(
     "crop", [np.zeros((4, 4), np.uint8)[:, ::2], "text", 3, None, np.array([None, 1], dtype=object), b"no picture"]
 )
-def test_an_atlas_entry_that_is_no_picture_costs_only_itself(tmp_path: Path, crop: Any) -> None:
+def test_an_atlas_entry_that_is_no_picture_rejects_only_its_instance(tmp_path: Path, crop: Any) -> None:
     write_tree(tmp_path / "tree", vehicles=2, json=False, images=False)
     path = tmp_path / "tree" / "atlas.pkl"
     atlas = pickle.loads(path.read_bytes())

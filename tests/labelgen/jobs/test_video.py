@@ -181,7 +181,7 @@ def test_folder_of_images(labelgen, clip: Path, tmp_path: Path) -> None:
     assert (report["images"], report["labels"]) == (4, 8)
 
 
-def test_a_truncated_video_is_read_as_far_as_it_goes_and_said(labelgen, clip: Path, tmp_path: Path) -> None:
+def test_a_truncated_video_is_read_and_reported(labelgen, clip: Path, tmp_path: Path) -> None:
     whole = write_clip(tmp_path, 60, name="cut.avi")
     data = whole.read_bytes()
     whole.write_bytes(data[: len(data) // 2])
@@ -234,7 +234,7 @@ def test_real_videos_with_background_masks(labelgen, real_data: Path, tmp_path: 
         assert sample.vertices_px()[1].all()
 
 
-def test_the_video_that_kills_opencv_is_read(labelgen, real_data: Path, tmp_path: Path) -> None:
+def test_a_video_that_crashes_opencv_is_read(labelgen, real_data: Path, tmp_path: Path) -> None:
     odd = real_data / "videos" / "odd_rawvideo_48x48.avi"
     (tmp_path / "c.json").write_text(json.dumps(CAMERA.resized(48 / 640).to_dict()))
     mask = cv2.resize(road_mask(), (48, 48))

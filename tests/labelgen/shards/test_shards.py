@@ -6,8 +6,6 @@ import hashlib
 import json
 import multiprocessing
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -17,7 +15,6 @@ from samples import CAMERA, SIZE, make_sample, write_shard
 
 from labelgen.errors import DataError, OutputError
 from labelgen.geometry import Camera, Pair
-from labelgen.labels import Sample
 from labelgen.shards import (
     Reject,
     ShardDataset,
@@ -139,56 +136,6 @@ def test_a_pickled_reader_does_not_carry_the_tables(tmp_path: Path) -> None:
     assert len(pickle.loads(data)) == 50
 
 
-FRAMES = [0, 250, 275, 500, 525, 550]
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Three shards with six samples."""
-    for i in range(3):
-        write_shard(tmp_path / f"shard-{i:05d}.h5", samples=i + 1, seed=10 * i)
-    return tmp_path
-
-
-def test_a_dataset_counts_over_files(folder: Path) -> None:
-    data = ShardDataset([folder])
-    assert len(data) == 6
-    assert [data[i].frame for i in range(6)] == FRAMES
-    assert [sample.frame for sample in data] == FRAMES
-    assert data[-1].frame == 550
-    assert len(data.table("labels/cc")) == sum(reader.label_count for reader in data.readers)
-    with pytest.raises(IndexError):
-        data[6]
-
-
-def _frame_and_boxes(sample: Sample) -> tuple[int, np.ndarray]:
-    return sample.frame, sample.labels.boxes_xyxy
-
-
-def test_a_dataset_transforms_its_samples(folder: Path) -> None:
-    data = pickle.loads(pickle.dumps(ShardDataset(str(folder), transform=_frame_and_boxes)))
-    assert [frame for frame, _ in data] == FRAMES
-    np.testing.assert_array_equal(data[2][1], ShardDataset(folder)[2].labels.boxes_xyxy)
-
-
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_workers_of_a_data_loader_read_a_dataset(folder: Path, method: str) -> None:
-    from torch.utils.data import DataLoader
-
-    data = ShardDataset(folder, transform=_frame_and_boxes)
-    expected = list(data)  # its files are open when the workers start
-    loader = DataLoader(data, batch_size=4, num_workers=2, collate_fn=list, multiprocessing_context=method)
-    items = [item for batch in loader for item in batch]
-    assert [frame for frame, _ in items] == FRAMES
-    for (_, boxes), (_, wanted) in zip(items, expected, strict=True):
-        np.testing.assert_array_equal(boxes, wanted)
-
-
-def test_importing_shards_does_not_import_torch() -> None:
-    code = "import sys, labelgen.shards; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 def _edit(path: Path, change) -> None:
     with h5py.File(path, "r+") as file:
         change(file)
@@ -299,12 +246,12 @@ def test_index_counts_and_rejects(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda index: index.update(content_sha256="0"), "content_sha256 is '0', its shards say"),
-        (lambda index: index.update(pair="VP1-VP2"), "pair is 'VP1-VP2', its shards say 'VP2-VP3'"),
+        (lambda index: index.update(content_sha256="0"), "content_sha256 is '0', in its shards"),
+        (lambda index: index.update(pair="VP1-VP2"), "pair is 'VP1-VP2', in its shards 'VP2-VP3'"),
         (lambda index: index.update(version=99), "version is 99"),
-        (lambda index: index.update(labels=13), "labels is 13, its shards say 12"),
+        (lambda index: index.update(labels=13), "labels is 13, in its shards 12"),
         (lambda index: index.update(rejects_by_reason={}), "rejects_by_reason is {}"),
-        (lambda index: index["shards"][0].update(labels=7), "what it says of shard-00000.h5 is not so"),
+        (lambda index: index["shards"][0].update(labels=7), "its entry of shard-00000.h5 differs from the shard"),
         (lambda index: index["shards"].reverse(), "content_sha256 is"),
         (lambda index: index["shards"][0].update(name="../x.h5"), "not an index of shards"),
         (lambda index: index.update(shards=["a"]), "not an index of shards"),

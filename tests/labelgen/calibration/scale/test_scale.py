@@ -1,4 +1,4 @@
-"""The three ways to a scale, on outlines whose scale is known."""
+"""The three methods for the scale, on outlines of known scale."""
 
 from __future__ import annotations
 
@@ -12,12 +12,7 @@ import pytest
 from random_cameras import random_camera
 from speed_scenes import make_camera
 
-from labelgen.calibration.observation.silhouettes import (
-    SilhouetteCollector,
-    SilhouetteSettings,
-    VehicleSilhouette,
-    silhouettes_from_masks,
-)
+from labelgen.calibration.observation.silhouettes import VehicleSilhouette
 from labelgen.calibration.scale.estimate import ScaleEstimate
 from labelgen.calibration.scale.from_dimensions import MEAN_VEHICLE_M, scale_from_dimensions
 from labelgen.calibration.scale.from_distances import KnownDistance, parse_distance, scale_from_distances
@@ -26,7 +21,6 @@ from labelgen.calibration.scale.methods import parse_scale_method
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.geometry.vehicle_bodies import common_bodies
-from labelgen.masks import InstanceMasks
 
 
 def hull(points: np.ndarray) -> np.ndarray:
@@ -73,23 +67,23 @@ def vehicle_blobs(
 @pytest.mark.parametrize("factor", [1 / 3, 1.0])
 def test_exact_boxes_give_the_exact_scale(factor: float) -> None:
     camera = make_camera(factor)
-    found = scale_from_dimensions(replace(camera, scale=None), cuboid_blobs(camera, 40, MEAN_VEHICLE_M))
-    assert found.scale == pytest.approx(camera.scale, rel=2e-3)
-    assert found.spread < 2e-3
-    assert {round(v / found.scale, 2) for v in found.details.values()} == {1.0}
+    estimate = scale_from_dimensions(replace(camera, scale=None), cuboid_blobs(camera, 40, MEAN_VEHICLE_M))
+    assert estimate.scale == pytest.approx(camera.scale, rel=2e-3)
+    assert estimate.spread < 2e-3
+    assert {round(v / estimate.scale, 2) for v in estimate.details.values()} == {1.0}
 
 
 def test_the_mean_vehicle_can_be_another_one_and_the_least_ratio_counts() -> None:
     camera = make_camera()
     silhouettes = cuboid_blobs(camera, 40, (4.4, 1.8, 1.5))
-    found = scale_from_dimensions(camera, silhouettes, mean_m=(4.4 * 1.3, 1.8 * 0.9, 1.5))
+    estimate = scale_from_dimensions(camera, silhouettes, mean_m=(4.4 * 1.3, 1.8 * 0.9, 1.5))
     assert camera.scale is not None
-    assert found.scale == pytest.approx(0.9 * camera.scale, rel=5e-3)
-    assert found.details["by_length"] == pytest.approx(1.3 * camera.scale, rel=5e-3)
+    assert estimate.scale == pytest.approx(0.9 * camera.scale, rel=5e-3)
+    assert estimate.details["by_length"] == pytest.approx(1.3 * camera.scale, rel=5e-3)
 
 
 @pytest.mark.parametrize("mean", [(4.27, 1.74), (4.27, 0.0, 1.5), (math.nan, 1.7, 1.5)])
-def test_a_mean_vehicle_that_is_none(mean: tuple[float, ...]) -> None:
+def test_a_malformed_mean_vehicle_is_an_error(mean: tuple[float, ...]) -> None:
     with pytest.raises(CalibrationError, match="mean_m: expected length, width and height"):
         scale_from_dimensions(make_camera(), cuboid_blobs(make_camera(), 20, MEAN_VEHICLE_M), mean_m=mean)
 
@@ -106,14 +100,14 @@ def test_models_find_the_scale_of_any_camera(seed: int) -> None:
         ahead = camera.project([[15.0, -6.0], [15.0, 6.0], [50.0, 6.0], [50.0, -6.0]])
         if inside(camera, ahead[2:]) and ((ahead > 0) & (ahead < [1920, 1500])).mean() > 0.8:
             break
-    found = scale_from_models(replace(camera, scale=None), vehicle_blobs(camera, 60, seed=seed))
+    estimate = scale_from_models(replace(camera, scale=None), vehicle_blobs(camera, 60, seed=seed))
     assert camera.scale is not None
-    assert found.scale == pytest.approx(camera.scale, rel=0.02)
-    assert found.count > 45
-    assert found.spread < 0.02
+    assert estimate.scale == pytest.approx(camera.scale, rel=0.02)
+    assert estimate.count > 45
+    assert estimate.spread < 0.02
 
 
-def test_models_stand_noise_and_merged_vehicles() -> None:
+def test_models_tolerate_noise_and_merged_vehicles() -> None:
     camera = make_camera()
     silhouettes = vehicle_blobs(camera, 80, noise_px=1.5, merged=0.35)
     first = scale_from_models(replace(camera, scale=None), silhouettes)
@@ -147,7 +141,7 @@ def shapeless(camera: Camera) -> list[VehicleSilhouette]:
         (shapeless, "of 30 silhouettes look like vehicles along the road"),
     ],
 )
-def test_what_models_refuse(silhouettes: Callable[[Camera], list[VehicleSilhouette]], reason: str) -> None:
+def test_models_refuse_too_few_vehicles(silhouettes: Callable[[Camera], list[VehicleSilhouette]], reason: str) -> None:
     with pytest.raises(CalibrationError, match=reason) as refusal:
         scale_from_models(make_camera(), silhouettes(make_camera()))
     assert "\n" not in str(refusal.value)
@@ -167,19 +161,19 @@ def test_known_distances_give_the_exact_scale() -> None:
     # The two points of a lane's width need not lie abreast.
     lane = parse_distance(f"{ends(camera, (20.0, 1.75), (45.0, -1.75))},3.5", across=True)
     for known in ([along], [lane], [along, lane]):
-        found = scale_from_distances(replace(camera, scale=None), known)
-        assert found.scale == pytest.approx(camera.scale, rel=1e-6)
-        assert found.count == len(known)
-        assert math.isnan(found.spread) == (len(known) == 1)
+        estimate = scale_from_distances(replace(camera, scale=None), known)
+        assert estimate.scale == pytest.approx(camera.scale, rel=1e-6)
+        assert estimate.count == len(known)
+        assert math.isnan(estimate.spread) == (len(known) == 1)
 
 
 def test_longer_distances_weigh_more() -> None:
     camera = make_camera()
     wrong = parse_distance(f"{ends(camera, (20.0, 0.0), (21.0, 0.0))},1.5")
     right = parse_distance(f"{ends(camera, (20.0, 0.0), (50.0, 0.0))},30")
-    found = scale_from_distances(camera, [wrong, right])
-    assert found.scale == pytest.approx(camera.scale, rel=1e-3)
-    assert found.details["worst_m"] == pytest.approx(0.5, abs=0.01)
+    estimate = scale_from_distances(camera, [wrong, right])
+    assert estimate.scale == pytest.approx(camera.scale, rel=1e-3)
+    assert estimate.details["worst_m"] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +187,7 @@ def test_longer_distances_weigh_more() -> None:
         ("1,2,nan,4,5", "expected two different points"),
     ],
 )
-def test_distances_that_are_none(text: str, reason: str) -> None:
+def test_malformed_distances_are_errors(text: str, reason: str) -> None:
     with pytest.raises(CalibrationError, match=reason):
         parse_distance(text)
 
@@ -222,12 +216,12 @@ def test_distances_that_cannot_be_measured() -> None:
         (["distance:600,1000,640,700,5", "lane:600,1000,1400,1000,3.5"], "distance"),
     ],
 )
-def test_ways_by_name(texts: list[str], name: str) -> None:
+def test_methods_by_name(texts: list[str], name: str) -> None:
     camera = make_camera()
-    way = parse_scale_method(texts)
-    found = way(replace(camera, scale=None), vehicle_blobs(camera, 40))
-    assert (way.name, found.method) == (name, name)
-    assert found.scale > 0
+    method = parse_scale_method(texts)
+    estimate = method(replace(camera, scale=None), vehicle_blobs(camera, 40))
+    assert (method.name, estimate.method) == (name, name)
+    assert estimate.scale > 0
 
 
 @pytest.mark.parametrize(
@@ -242,7 +236,7 @@ def test_ways_by_name(texts: list[str], name: str) -> None:
         (["distance:1,2,3"], "expected five numbers"),
     ],
 )
-def test_ways_that_are_none(texts: list[str], reason: str) -> None:
+def test_unknown_methods_are_errors(texts: list[str], reason: str) -> None:
     with pytest.raises(CalibrationError, match=reason):
         parse_scale_method(texts)
 
@@ -250,38 +244,3 @@ def test_ways_that_are_none(texts: list[str], reason: str) -> None:
 def test_an_estimate_must_be_a_scale() -> None:
     with pytest.raises(CalibrationError, match="scale, distance: what was measured gives none"):
         ScaleEstimate(math.inf, 1, 0.0, "distance")
-
-
-# -- silhouettes ----------------------------------------------------------------------------------------------
-
-
-def test_blobs_leave_out_what_the_border_cuts_and_join_what_a_windscreen_parts() -> None:
-    masks = []
-    for x0, y0, x1, y1 in [(0, 50, 40, 80), (100, 50, 150, 80), (102, 90, 148, 110), (300, 90, 340, 110)]:
-        mask = np.zeros((180, 400), dtype=np.bool_)
-        mask[y0:y1, x0:x1] = True
-        masks.append(mask)
-    silhouettes = silhouettes_from_masks(InstanceMasks.from_masks((400, 180), masks, [0] * 4, np.ones(4)), 7, 0.28, 3.0)
-    boxes = [[*b.polygon_px.min(axis=0), *b.polygon_px.max(axis=0)] for b in silhouettes]
-    expected = [[300, 150, 450, 240], [306, 270, 444, 330], [900, 270, 1020, 330], [300, 150, 450, 330]]
-    np.testing.assert_allclose(boxes, expected, atol=1)
-    assert [b.joined for b in silhouettes] == [False, False, False, True]
-    assert {(b.frame_number, b.time_s) for b in silhouettes} == {(7, 0.28)}
-
-
-def test_the_collector_finds_what_moves_and_keeps_a_bounded_sample() -> None:
-    rng = np.random.default_rng(0)
-    ground = cv2.resize(rng.integers(90, 130, (45, 80, 3), dtype=np.uint8), (960, 540))
-    collector = SilhouetteCollector(SilhouetteSettings(capacity=20))
-    for number in range(40):
-        picture = ground.copy()
-        x = 40 + 20 * number
-        picture[200:320, x : x + 100] = (200, 40, 30)
-        collector.update(number, 0.4 * number, picture)
-        collector.update(number, 0.4 * number + 0.04, picture)  # too soon after the last to look at
-    silhouettes = collector.silhouettes()
-    assert 25 <= collector.count <= 40
-    assert len(silhouettes) == 20
-    middles = np.array([b.polygon_px.mean(axis=0) for b in silhouettes])
-    np.testing.assert_allclose(middles[:, 0], [90 + 20 * b.frame_number for b in silhouettes], atol=8)
-    np.testing.assert_allclose(middles[:, 1], 260, atol=8)

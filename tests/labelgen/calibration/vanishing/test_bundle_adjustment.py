@@ -1,4 +1,4 @@
-"""The camera from vehicles that keep their size, on drawn outlines; which silhouettes are of one vehicle."""
+"""The camera from vehicles that keep their size, on drawn outlines."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from labelgen.calibration.observation.association import associate_silhouettes, select_silhouettes
-from labelgen.calibration.observation.collect import Observations, Track
+from labelgen.calibration.observation.collect import Observations
+from labelgen.calibration.observation.klt_tracks import Track
 from labelgen.calibration.observation.silhouettes import VehicleSilhouette
-from labelgen.calibration.road_units import unit_camera
 from labelgen.calibration.vanishing.bundle_adjustment import refine_orientation
 from labelgen.calibration.vanishing.orientation import estimate_orientation
-from labelgen.calibration.vehicle_fit.measurements import measure_silhouettes
-from labelgen.calibration.vehicle_fit.model_fit import BodyHypotheses, initial_fit
-from labelgen.calibration.vehicle_fit.optimize import optimize_fit
-from labelgen.calibration.vehicle_fit.residuals import fit_residuals
-from labelgen.calibration.vehicle_fit.settings import VehicleFitSettings
 from labelgen.geometry import Camera
 from labelgen.geometry.camera import look_at_road
 from labelgen.geometry.vehicle_bodies import common_bodies
@@ -79,9 +73,9 @@ def traffic(
 )
 def test_bundle_adjustment_reduces_the_error_of_sliding_features(target, focal):
     camera = replace(look_at_road(9.0, target, focal, WH, 0.5), pp=np.array([960.0, 540.0]))
-    seen, silhouettes = traffic(camera, 30, slide=0.009)
-    first = estimate_orientation("drawn", seen, None)
-    refined = refine_orientation(seen, first, silhouettes)
+    observations, silhouettes = traffic(camera, 30, slide=0.009)
+    first = estimate_orientation("drawn", observations, None)
+    refined = refine_orientation(observations, first, silhouettes)
     before, after = angle_deg(camera, first.camera), angle_deg(camera, refined.camera)
     assert before > 0.3
     # Here everything slides, also what is at the vehicles' sides, of which tracks are believed to 10 px.
@@ -105,76 +99,9 @@ def test_sliding_features_in_the_middle_of_vehicles_do_not_move_vp1():
 
 def test_without_reobserved_vehicles_the_camera_stays():
     camera = look_at_road(9.0, (35.0, 5.0), 2000, WH, 0.5)
-    seen, silhouettes = traffic(camera, 12, slide=0.0)
-    first = estimate_orientation("drawn", seen, None)
+    observations, silhouettes = traffic(camera, 12, slide=0.0)
+    first = estimate_orientation("drawn", observations, None)
     once = {silhouette.time_s // 4: silhouette for silhouette in silhouettes}
-    assert refine_orientation(seen, first, []) is first
-    assert refine_orientation(seen, first, list(once.values())) is first
-    assert refine_orientation(seen, first, [replace(silhouette, joined=True) for silhouette in silhouettes]) is first
-
-
-# -- one vehicle, several silhouettes ---------------------------------------------------------------------------
-
-
-def test_the_size_and_places_of_a_vehicle_come_back():
-    camera = look_at_road(9.0, (35.0, 5.0), 2000, WH, 0.5)
-    unit = unit_camera(camera)
-    bodies = common_bodies()
-    outlines = []
-    places = [(60.0, 2.0), (40.0, 1.5), (25.0, 1.0)]
-    for k, (x, y) in enumerate(places):
-        px = camera.project(bodies[1].points + np.array([x, y, 0]))
-        outlines.append(VehicleSilhouette(k, float(k), cv2.convexHull(px.astype(np.float32))[:, 0].astype(np.float64)))
-    settings = VehicleFitSettings()
-    measured, numbers = measure_silhouettes(unit, outlines, np.array([7, 7, 7]), settings)
-    assert numbers.tolist() == [0, 1, 2]
-    hypotheses = BodyHypotheses.from_bodies(bodies)
-    fit = optimize_fit(unit, measured, hypotheses, initial_fit(measured, hypotheses, settings), 12, settings)
-    costs = fit.sum_over_pairs(fit_residuals(unit, measured, hypotheses, fit, settings).costs)
-    # Pairs are in the order of the bodies, driving away before coming closer.
-    assert int(costs.argmin()) == 2
-    assert np.exp(-fit.shape[2, 0]) == pytest.approx(camera.scale, rel=0.02)
-    assert camera.scale is not None
-    fitted_m = fit.place[fit.pair == 2] * camera.scale
-    assert np.abs(fitted_m - places).max() < 0.6
-
-
-def square(number: int, x: float, y: float, half: float, *, joined: bool = False) -> VehicleSilhouette:
-    corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]]) + np.array([x, y])
-    return VehicleSilhouette(number, number / 10, corners, joined=joined)
-
-
-def line(x0: float, x1: float, y: float = 100.0) -> Track:
-    return Track(np.array([0.0, 1.0]), np.array([[x0, y], [x1, y]]))
-
-
-@pytest.mark.parametrize(
-    ("tracks", "vehicles", "expected"),
-    [
-        ([line(100, 200)], [3], 3),
-        ([line(100, 200), line(105, 205), line(95, 195)], [3, 3, 4], 3),
-        ([line(100, 200), line(105, 205)], [3, 4], -1),
-        ([line(300, 400)], [3], -1),
-        ([Track(np.array([0.6, 1.0]), np.array([[150.0, 100.0], [150.0, 100.0]]))], [3], -1),
-        ([], [], -1),
-    ],
-    ids=["one feature", "most of them", "no majority", "elsewhere", "later", "no features"],
-)
-def test_silhouettes_go_to_the_vehicle_of_their_features(tracks, vehicles, expected):
-    silhouettes = [square(5, 150, 100, 20), square(5, 150, 100, 20, joined=True)]
-    assert associate_silhouettes(silhouettes, tracks, np.array(vehicles, dtype=np.int64)).tolist() == [expected, -1]
-
-
-def test_silhouettes_of_vehicles_seen_twice_are_selected():
-    silhouettes = [
-        square(0, 100, 100, 10), square(1, 100, 100, 40),  # vehicle 0, which grows most
-        square(0, 500, 100, 20), square(1, 500, 100, 30),  # vehicle 1
-        square(1, 500, 160, 12),  # a part of it in the same frame
-        square(2, 500, 100, 2),  # too small
-        square(0, 900, 100, 20),  # vehicle 2, seen once
-        square(0, 900, 500, 20), square(1, 900, 500, 20),  # nobody knows whose
-    ]  # fmt: skip
-    vehicles = np.array([0, 0, 1, 1, 1, 1, 2, -1, -1])
-    assert select_silhouettes(silhouettes, vehicles, min_size_px=10, max_count=100).tolist() == [0, 1, 2, 3]
-    assert select_silhouettes(silhouettes, vehicles, min_size_px=10, max_count=2).tolist() == [0, 1]
-    assert select_silhouettes(silhouettes, np.full(9, -1), min_size_px=10, max_count=100).tolist() == []
+    assert refine_orientation(observations, first, []) is first
+    assert refine_orientation(observations, first, list(once.values())) is first
+    assert refine_orientation(observations, first, [replace(s, joined=True) for s in silhouettes]) is first

@@ -138,9 +138,9 @@ def test_real_tracks_of_all_recordings(real_data):
         lines = track_lines(tracks, best.pp, unit)
         lines = lines[lines.length > 0.12]
         direction = estimate_vp1(lines).direction
-        found = best.pp + unit * direction[:2] / direction[2]
+        vp1 = best.pp + unit * direction[:2] / direction[2]
         published = Camera(data["camera_calibration"]["vp1"], best.vp2, best.pp)
-        rays = [np.array([*(p - best.pp), best.focal]) for p in (found, published.vp1)]
+        rays = [np.array([*(p - best.pp), best.focal]) for p in (vp1, published.vp1)]
         cosine = rays[0] @ rays[1] / np.linalg.norm(rays[0]) / np.linalg.norm(rays[1])
         angles[path.parent.name] = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     assert len(angles) == 10

@@ -40,8 +40,8 @@ def estimate(cam, edgelets, middles):
 def test_tilt_and_focal_length_come_back(target, focal, roll):
     cam, edgelets, middles = scene(target, focal, roll, np.random.default_rng(1))
     vp2 = estimate(cam, edgelets, middles)
-    way = cam.vp2 - cam.vp1
-    assert np.degrees(vp2.tilt) == pytest.approx(np.degrees(np.arctan(way[1] / way[0])), abs=0.25)
+    horizon = cam.vp2 - cam.vp1
+    assert np.degrees(vp2.tilt) == pytest.approx(np.degrees(np.arctan(horizon[1] / horizon[0])), abs=0.25)
     assert vp2.focal * UNIT == pytest.approx(focal, rel=0.04)
     assert abs(np.log(vp2.focal * UNIT / focal)) < 4 * vp2.focal_sd
 
