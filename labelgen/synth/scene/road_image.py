@@ -21,6 +21,7 @@ from labelgen.synth.scene.static_layer import (
     draw_shade,
     without_view_blockers,
 )
+from labelgen.synth.scene.strips import strips
 from labelgen.synth.shading.lighting import Light, Weather
 
 __all__ = ["draw_road", "draw_scene"]
@@ -28,6 +29,7 @@ __all__ = ["draw_road", "draw_scene"]
 _TILE = 512
 _STRIP = 48
 _SS = 2
+_BLUR_REACH = 4
 Plane = NDArray[np.float32]
 
 
@@ -111,8 +113,16 @@ def draw_road(scene: Scene, light: Light, rng: np.random.Generator) -> NDArray[n
     return _finished(_painted(scene, light, look, surface, NO_SHADE))
 
 
-def draw_scene(scene: Scene, light: Light, rng: np.random.Generator) -> tuple[NDArray[np.uint8], StaticLayer | None]:
-    """The empty road of a procedural scene with all that stands beside it.
+def draw_scene(
+    scene: Scene, light: Light, rng: np.random.Generator, windows_xyxy: NDArray[np.int64] | None = None
+) -> tuple[NDArray[np.uint8], StaticLayer | None]:
+    """Draw the empty road of a procedural scene with all that stands beside it.
+
+    Args:
+        scene: from `procedural_scene`.
+        light: of the picture.
+        rng: decides what the road and its surroundings look like.
+        windows_xyxy: (N, 4) px, the parts of the picture that are needed; the rest may stay black. None for all of it.
 
     Returns:
         (H, W, 3) uint8 BGR, and what of it may hide vehicles; None when nothing stands there.
@@ -120,21 +130,32 @@ def draw_scene(scene: Scene, light: Light, rng: np.random.Generator) -> tuple[ND
     look, surface = _look(scene, rng), draw_surface(scene, rng)
     props = without_view_blockers(scene, place_props(scene, look.shoulder, rng))
     shade = draw_shade(scene, light, props)
-    image, static_layer = draw_props(_painted(scene, light, look, surface, shade), scene.camera, light, props, shade)
+    if windows_xyxy is not None:  # so that the last blur finds painted neighbours everywhere
+        windows_xyxy = windows_xyxy + np.array([-_BLUR_REACH, -_BLUR_REACH, _BLUR_REACH, _BLUR_REACH])
+    road = _painted(scene, light, look, surface, shade, windows_xyxy)
+    image, static_layer = draw_props(road, scene.camera, light, props, shade, windows_xyxy)
     return _finished(image), static_layer
 
 
-def _painted(scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade) -> Plane:
+def _painted(
+    scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade,
+    windows_xyxy: NDArray[np.int64] | None = None,
+) -> Plane:  # fmt: skip
     assert scene.camera.image_wh is not None
     width, height = scene.camera.image_wh
-    columns = ((np.arange(_SS * width) + 0.5) / _SS)[None]
-    image = np.empty((height, width, 3), dtype=np.float32)
-    for top in range(0, height, _STRIP):
-        bottom = min(top + _STRIP, height)
-        rows = (top + (np.arange(_SS * (bottom - top)) + 0.5) / _SS)[:, None]
-        levels = light.grey_levels(_strip(scene, light, look, surface, shade, columns, rows))
-        image[top:bottom] = cv2.resize(levels[..., ::-1], (width, bottom - top), interpolation=cv2.INTER_AREA)
+    image = np.zeros((height, width, 3), dtype=np.float32)
+    for rows, columns in strips((width, height), _STRIP, windows_xyxy):
+        x, y = _sample_places(columns)[None], _sample_places(rows)[:, None]
+        levels = light.grey_levels(_strip(scene, light, look, surface, shade, x, y))
+        size = (columns.stop - columns.start, rows.stop - rows.start)
+        image[rows, columns] = cv2.resize(levels[..., ::-1], size, interpolation=cv2.INTER_AREA)
     return image
+
+
+def _sample_places(pixels: slice) -> NDArray[np.float64]:
+    """Places of the samples of a run of pixels, frame px."""
+    count = _SS * (pixels.stop - pixels.start)
+    return np.asarray(pixels.start + (np.arange(count) + 0.5) / _SS)
 
 
 def _finished(image: Plane) -> NDArray[np.uint8]:
@@ -159,11 +180,13 @@ def _strip(
         1 / (_SS * camera.height_m * camera.focal)
     )
     sun = (light.sun * max(light.sun_direction[2], 0.0)).astype(np.float32)
-    sunlight = sun * shade.at(shade.sun, x, y)[..., None]
-    sunlight = sunlight + light.ambient.astype(np.float32) * shade.at(shade.sky, x, y)[..., None]
-    radiance = _ground(scene, light, look, surface, x, y, footprint) * sunlight
+    ambient = light.ambient.astype(np.float32)
+    in_sun, under_sky = shade.at(shade.sun, x, y), shade.at(shade.sky, x, y)
+    albedo = _ground(scene, light, look, surface, x, y, footprint)
+    planes = [albedo[k] * (sun[k] * in_sun + ambient[k] * under_sky) for k in range(3)]
     if light.weather is Weather.RAIN:
-        radiance = _wet(scene, light, look, radiance, x, y)
+        planes = _wet(scene, light, look, planes, x, y)
+    radiance = np.stack(planes, axis=-1)
     radiance = light.through_air(radiance, np.sqrt(x * x + y * y + np.float32(camera.height_m**2))[..., None])
     if sky.any():
         climb = np.clip(rays[2] / np.float32(0.8 * camera.focal), 0, 1)[..., None]
@@ -179,27 +202,44 @@ def _soft(value: Any, width: Any) -> Any:
     return np.clip(value / np.maximum(width, np.float32(1e-4)) + np.float32(0.5), 0, 1)
 
 
-def _ground(scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane) -> Plane:
-    """Albedo of grass, gravel, asphalt and markings."""
+def _blend(planes: list[Any], layer: Any, share: Any) -> list[Any]:
+    """Three planes with a share of a layer's three planes or values laid over them."""
+    if not share.any():
+        return planes
+    left = 1 - share
+    return [planes[k] * left + layer[k] * share for k in range(3)]
+
+
+def _ground(
+    scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane
+) -> list[Plane]:
+    """Albedo of grass, gravel, asphalt and markings: planes of red, green and blue."""
     grain = _lookup(look.grain, x, y, 6.0) * np.clip(0.012 / footprint, 0, 1)
     patches = _lookup(look.patches, x, y * 2.5, 40.0) + 0.6 * _lookup(look.patches, x * 0.13, y, 17.0)
-    mix = np.clip(look.bare + 0.25 * _lookup(look.patches, x, y, 23.0), 0, 1)[..., None]
+    mix = np.clip(look.bare + 0.25 * _lookup(look.patches, x, y, 23.0), 0, 1)
     blades = np.exp(0.35 * _lookup(look.grass, x, y, 9.0) * np.clip(0.05 / footprint, 0.15, 1))
-    colour = (look.verge * (1 - mix) + look.dry * mix) * blades[..., None]
-    asphalt = light.road.astype(np.float32) * (1 + 0.10 * grain + 0.05 * patches)[..., None]
-    gravel = np.array([0.21, 0.20, 0.18], dtype=np.float32) * (1 + 0.18 * grain + 0.06 * patches)[..., None]
+    colour: list[Any] = [(look.verge[k] * (1 - mix) + look.dry[k] * mix) * blades for k in range(3)]
+    road = light.road.astype(np.float32)
+    rough, coarse = 1 + 0.10 * grain + 0.05 * patches, 1 + 0.18 * grain + 0.06 * patches
+    asphalt = [road[k] * rough for k in range(3)]
+    gravel = [tone * coarse for tone in np.array([0.21, 0.20, 0.18], dtype=np.float32)]
+    shoulder = [plane * 1.08 for plane in asphalt]
+    wear_of_paint = patches + grain
     for low, high, inner in carriageways(scene):
-        for extra, layer in ((look.shoulder + 0.9, gravel), (look.shoulder, asphalt * 1.08)):
+        for extra, layer in ((look.shoulder + 0.9, gravel), (look.shoulder, shoulder)):
             inside = _soft(y - (low - extra), footprint + 0.06) * _soft(high + extra - y, footprint + 0.06)
-            colour = colour * (1 - inside[..., None]) + layer * inside[..., None]
+            colour = _blend(colour, layer, inside)
         inside = _soft(y - low + 0.3, footprint) * _soft(high + 0.3 - y, footprint)
-        wear = _wear_across(look, y, [low, *inner, high])
-        colour = colour * (1 - inside[..., None]) + asphalt * (wear * inside)[..., None]
-        colour = _markings(look, colour, x, y, footprint, (low, high, inner), patches + grain)
+        if not inside.any():
+            continue
+        worn = _wear_across(look, y, [low, *inner, high]) * inside
+        left = 1 - inside
+        colour = [colour[k] * left + asphalt[k] * worn for k in range(3)]
+        colour = _markings(look, colour, x, y, footprint, (low, high, inner), wear_of_paint)
     lying, tone = surface.at(x, y, footprint)
-    lying = (lying * np.clip(0.85 - 0.12 * (patches + grain), 0.2, 1))[..., None]
-    colour = colour * tone[..., None] * (1 - lying) + look.paint * lying
-    return np.asarray(colour, dtype=np.float32)
+    lying = lying * np.clip(0.85 - 0.12 * wear_of_paint, 0.2, 1)
+    bare = 1 - lying
+    return [np.asarray(colour[k] * tone * bare + look.paint[k] * lying, dtype=np.float32) for k in range(3)]
 
 
 def _wear_across(look: _Look, y: Plane, lanes: list[float]) -> Plane:
@@ -233,12 +273,11 @@ def _markings(
         between = np.maximum(between, stripe(at, 0.13) * dashes)
     worn = np.clip(0.9 - 0.12 * wear, 0.3, 1)
     for cover, paint in ((np.maximum(stripe(low, 0.20), stripe(high, 0.20)), look.edge_paint), (between, look.paint)):
-        share = np.clip(cover * worn, 0, 1)[..., None]
-        colour = colour * (1 - share) + paint * share
+        colour = _blend(colour, paint, np.clip(cover * worn, 0, 1))
     return colour
 
 
-def _wet(scene: Scene, light: Light, look: _Look, radiance: Any, x: Plane, y: Plane) -> Any:
+def _wet(scene: Scene, light: Light, look: _Look, radiance: list[Any], x: Plane, y: Plane) -> list[Any]:
     """Sky mirrored in a film of water, more the flatter one looks."""
     height = scene.camera.height_m
     cosine = height / np.sqrt(x * x + y * y + height**2)
@@ -246,8 +285,8 @@ def _wet(scene: Scene, light: Light, look: _Look, radiance: Any, x: Plane, y: Pl
     paved = np.zeros_like(y)
     for low, high, _ in carriageways(scene):
         paved = np.maximum(paved, _soft(y - low + look.shoulder, 0.3) * _soft(high + look.shoulder - y, 0.3))
-    share = np.clip((0.02 + 0.5 * (1 - cosine) ** 5) * film * paved, 0, 1).astype(np.float32)[..., None]
-    return radiance * (1 - share) + light.sky_low.astype(np.float32) * share
+    share = np.clip((0.02 + 0.5 * (1 - cosine) ** 5) * film * paved, 0, 1).astype(np.float32)
+    return _blend(radiance, light.sky_low.astype(np.float32), share)
 
 
 def _woods(scene: Scene, light: Light, look: _Look, radiance: Any, rays: list[Plane], wood: tuple[float, float]) -> Any:

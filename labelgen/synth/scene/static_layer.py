@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from labelgen.geometry import Camera
 from labelgen.synth.scene.placement import Prop
 from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.strips import strips
 from labelgen.synth.scene.triangles import Triangles, gather
 from labelgen.synth.shading.lighting import Light
 from labelgen.synth.shading.rasterizer import visible_triangles
@@ -159,16 +160,22 @@ def _radiance(camera: Camera, light: Light, triangles: Triangles) -> NDArray[np.
     return np.asarray(light.through_air(lit, np.linalg.norm(to_camera, axis=1)[:, None]), dtype=np.float32)
 
 
-def _standing_at(camera: Camera, triangles: Triangles, ids: NDArray[np.int32], top: int) -> NDArray[np.float32]:
-    """(h, w, 2) metres: x and y of what pixels of the rows from `top` on show; 0 where they show nothing."""
+def _standing_at(
+    camera: Camera, triangles: Triangles, ids: NDArray[np.int32], origin_px: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Return (h, w, 2) metres: where on the ground what a part of the picture shows stands; 0 where it shows nothing.
+
+    `ids` holds a triangle per pixel of the part, -1 for none; `origin_px` is the part's first pixel (x, y).
+    """
     out = np.zeros((*ids.shape, 2), dtype=np.float32)
     row, column = np.nonzero(ids >= 0)
     if not len(row):
         return out
     corners = triangles.corners[ids[row, column]].astype(np.float64)
     eye = np.array([0.0, 0.0, camera.height_m])
+    left, top = origin_px
     at = np.stack(
-        [column + 0.5 - camera.pp[0], row + top + 0.5 - camera.pp[1], np.full(len(row), camera.focal)], axis=1
+        [column + left + 0.5 - camera.pp[0], row + top + 0.5 - camera.pp[1], np.full(len(row), camera.focal)], axis=1
     )
     rays = at @ camera.axes.T
     plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -181,19 +188,21 @@ def _standing_at(camera: Camera, triangles: Triangles, ids: NDArray[np.int32], t
 
 
 def draw_props(
-    image: Any, camera: Camera, light: Light, props: Sequence[Prop], shade: Shade
-) -> tuple[NDArray[np.float32], StaticLayer | None]:
-    """Lay the things over a picture.
+    image: Any, camera: Camera, light: Light, props: Sequence[Prop], shade: Shade,
+    windows_xyxy: NDArray[np.int64] | None = None,
+) -> tuple[NDArray[np.float32], StaticLayer | None]:  # fmt: skip
+    """Lay the props over a picture.
 
     Args:
         image: (H, W, 3) float32 BGR in 0-255.
         camera: with the image's size.
         light: what they are lit by.
-        props: the things.
+        props: the props.
         shade: goes into what is returned.
+        windows_xyxy: (N, 4) px, the parts of the picture to draw; None for all of it.
 
     Returns:
-        the picture, and what it hides; None when there is nothing.
+        The picture, and what it hides; None when there are no props.
     """
     if not props:
         return image, None
@@ -203,17 +212,19 @@ def draw_props(
         _on_screen(camera, triangles), _corner_numbers(triangles), (width, height), (0.0, 0.0), _SS, False
     )
     tone = light.grey_levels(_radiance(camera, light, triangles))[:, ::-1]
-    out, cover = image.copy(), np.empty((height, width), dtype=np.uint8)
+    out, cover = image.copy(), np.zeros((height, width), dtype=np.uint8)
     place = np.zeros((height, width, 2), dtype=np.float32)
-    for top in range(0, height, _STRIP):
-        rows = slice(top, min(top + _STRIP, height))
-        part = ids[_SS * rows.start : _SS * rows.stop]
-        size = (width, rows.stop - rows.start)
-        hit = (part >= 0).astype(np.float32)
+    for rows, columns in strips((width, height), _STRIP, windows_xyxy):
+        part = ids[_SS * rows.start : _SS * rows.stop, _SS * columns.start : _SS * columns.stop]
+        covered = part >= 0
+        if not covered.any():
+            continue
+        size = (columns.stop - columns.start, rows.stop - rows.start)
+        hit = covered.astype(np.float32)
         painted = cv2.resize(tone[np.maximum(part, 0)] * hit[..., None], size, interpolation=cv2.INTER_AREA)
         share: Any = cv2.resize(hit, size, interpolation=cv2.INTER_AREA)
-        out[rows] = out[rows] * (1 - share[..., None]) + painted
-        cover[rows] = (255 * share).astype(np.uint8)
-        nearest = part.reshape(size[1], _SS, width, _SS).max(axis=(1, 3))
-        place[rows] = _standing_at(camera, triangles, nearest, rows.start)
+        out[rows, columns] = out[rows, columns] * (1 - share[..., None]) + painted
+        cover[rows, columns] = (255 * share).astype(np.uint8)
+        nearest = part.reshape(size[1], _SS, size[0], _SS).max(axis=(1, 3))
+        place[rows, columns] = _standing_at(camera, triangles, nearest, (columns.start, rows.start))
     return out, StaticLayer(cover, place, shade)

@@ -11,8 +11,9 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,44 +24,78 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.errors import OutputError
 from labelgen.geometry import Camera, road_cuboids
-from labelgen.synth.renderer.renderer import Renderer
+from labelgen.synth.renderer.renderer import Placed, Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import Scene, procedural_scene
-from labelgen.synth.scene.static_layer import StaticLayer
 from labelgen.synth.scene.traffic import Trip, random_traffic
 from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.session import place
 from labelgen.synth.truth.writer import own_front_first
+from labelgen.synth.vehicle.vehicle import VehicleModel, check_kinds
 
 __all__ = ["CAMERAS", "write_boxcars_tree"]
 
-CAMERAS = ("botanicka", "uvoz", "tesnohlidka", "prahaVinohradska", "svratka", "stefanikova", "videnska", "konecneho")
-"""Camera names, in the order they are used; four of them are those the published training leaves out."""
+CAMERAS = ("botanicka", "uvoz", "tesnohlidka", "svratka", "konecneho", "prahaVinohradska", "stefanikova", "videnska")
+"""Camera names of the data set, in the order they are used."""
 
-_FRAME_WH = (1920, 1080)
-_INSTANCES = 4
-_MIN_HEIGHT = 40.0
-_WINDOW_S = 60.0
+_WEATHERS = (Weather.DAY, Weather.OVERCAST, Weather.OVERCAST, Weather.RAIN)
+"""Light of the cameras, in turn."""
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """What a tree's crops are like."""
+
+    frame_wh: tuple[int, int] = (1920, 1080)
+    """Frame size of the data set's cameras, px."""
+    instances: int = 4
+    """Crops per vehicle at most; the data set has about as many."""
+    min_height_px: float = 40.0
+    """Height of a 3D box in the frame below which a vehicle is too small to be labelled."""
+    border_px: float = 12.0
+    """Distance a 3D box keeps from the frame's border, so that crops have a margin on every side."""
+    per_minute: float = 14.0
+    """Vehicles per lane and minute: sparse enough that few hide each other."""
+    duration_s: float = 12.0
+    """Least length of the traffic to choose from; more of it gives more choice and takes longer."""
+    seconds_per_vehicle: float = 6.0
+    """Length of the traffic per vehicle to choose."""
+    shadow_reach_m: float = 7.0
+    """Vehicles farther than this from all that a crop shows are not drawn: their shadows do not reach it."""
+
+
+_SETTINGS = _Settings()
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One vehicle at one time, as its camera sees it."""
+    """One vehicle at one time, as its camera sees it, and the crop around it."""
 
     trip: Trip
     time_s: float
     vertices_px: NDArray[np.float64]
+    crop_xyxy: NDArray[np.int64]
 
 
 def write_boxcars_tree(
-    out: Path, vehicles: int = 60, seed: int = 0, *, overwrite: bool = False, progress: bool = False
+    out: Path,
+    vehicles: int = 60,
+    seed: int = 0,
+    *,
+    cameras: int | None = None,
+    kinds: Sequence[str] | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
 ) -> dict[str, Any]:
     """Write a BoxCars116k tree.
 
     Args:
         out: folder.
         vehicles: number of samples (tracks), with up to four instances each.
-        seed: everything comes from it.
+        seed: everything that varies comes from it.
+        cameras: number of cameras, 1 to 8; one for every two vehicles when None.
+        kinds: body types, which then share the vehicles as evenly as the traffic allows; by their shares in traffic
+            when None.
         overwrite: whether an existing tree may be replaced.
         progress: show a bar.
 
@@ -68,30 +103,31 @@ def write_boxcars_tree(
         Summary: samples, instances, cameras, the root folder.
 
     Raises:
-        OutputError: the tree exists.
+        OutputError: the tree exists, or cannot be written.
+        DataError: no such body type.
     """
     from tqdm import tqdm
 
+    check_kinds(kinds or [])
     if (out / "dataset.pkl").exists() and not overwrite:
-        raise OutputError(f"{out}: a data set is there already; use --overwrite or another --out")
+        raise OutputError(f"{out}: it holds a data set already; choose another folder", parameter="overwrite")
     shutil.rmtree(out / "images", ignore_errors=True)
     make_folder(out / "json_data")
-    names = CAMERAS[: max(1, min(len(CAMERAS), vehicles // 2))]
-    shares = [len(range(k, vehicles, len(names))) for k in range(len(names))]
-    cameras: dict[str, Any] = {}
+    names = CAMERAS[: max(1, min(len(CAMERAS), vehicles // 2 if cameras is None else cameras))]
+    entries: dict[str, Any] = {}
     samples: list[dict[str, Any]] = []
     atlas: list[list[NDArray[np.uint8]]] = []
+    used: Counter[str] = Counter()
     with tqdm(total=vehicles, unit="vehicle", disable=not progress, desc="boxcars") as bar:
-        for number, (name, count) in enumerate(zip(names, shares, strict=True)):
-            scene, light, static_layer = _camera_scene(name, seed, number)
-            cameras[name] = _camera_entry(scene.camera)
-            for sample, crops in _samples(
-                scene, light, static_layer, count, seed, number, len(samples), out / "images"
-            ):
+        for number, name in enumerate(names):
+            site = _Site(name, number, seed)
+            entries[name] = _camera_entry(site.scene.camera)
+            chosen = site.choose(len(range(number, vehicles, len(names))), kinds, used)
+            for sample, crops in site.samples(chosen, len(samples), out / "images"):
                 samples.append(sample)
                 atlas.append(crops)
                 bar.update()
-    dataset = {"cameras": cameras, "samples": samples}
+    dataset = {"cameras": entries, "samples": samples}
     for path, content in (
         (out / "dataset.pkl", dataset),
         (out / "atlas.pkl", atlas),
@@ -100,107 +136,149 @@ def write_boxcars_tree(
         write_atomic(path, pickle.dumps(content, protocol=2))
     write_atomic(out / "json_data" / "dataset.json", json.dumps(dataset).encode())
     instances = sum(len(s["instances"]) for s in samples)
-    return {"samples": len(samples), "instances": instances, "cameras": len(cameras), "root": str(out)}
-
-
-def _camera_scene(name: str, seed: int, number: int) -> tuple[Scene, Light, StaticLayer | None]:
-    rng = np.random.default_rng([seed, 21, number])
-    scene = procedural_scene(rng, _FRAME_WH, name=name, both_ways=True)
-    weather = (Weather.DAY, Weather.OVERCAST, Weather.OVERCAST, Weather.RAIN)[number % 4]
-    light = varied_light(make_light(weather, rng), rng)
-    background, static_layer = draw_scene(scene, light, rng)
-    return replace(scene, background=background), light, static_layer
+    return {"samples": len(samples), "instances": instances, "cameras": len(entries), "root": str(out)}
 
 
 def _camera_entry(camera: Camera) -> dict[str, Any]:
     return {key: getattr(camera, key).tolist() for key in ("vp1", "vp2", "vp3", "pp")}
 
 
-def _views(scene: Scene, trip: Trip) -> list[_View]:
-    """Up to four times at which the whole vehicle is in the frame and large enough, evenly spread."""
-    start, end = trip.span_s(scene.x_range)
-    times = np.arange(max(start, 0.0), end, 0.08)
-    if not len(times):
-        return []
-    near = np.stack([trip.near_point(t) for t in times])
-    pixels = scene.camera.project(road_cuboids(near, np.tile(trip.size_lwh, (len(times), 1))))
-    with np.errstate(invalid="ignore"):
-        inside = ((pixels > 12) & (pixels < np.array(_FRAME_WH) - 12)).all(axis=(1, 2))
-        inside &= np.ptp(pixels[..., 1], axis=1) > _MIN_HEIGHT
-    good = np.flatnonzero(inside)
-    if len(good) < 2:
-        return []
-    chosen = np.unique(good[np.linspace(0, len(good) - 1, min(_INSTANCES, len(good))).astype(int)])
-    return [_View(trip, float(times[k]), pixels[k]) for k in chosen]
+class _Site:
+    """One camera of the tree: its road, light and traffic.
 
+    Args:
+        name: of the camera.
+        number: of the camera; picks its place and light.
+        seed: of the tree.
+    """
 
-def _samples(
-    scene: Scene,
-    light: Light,
-    static_layer: StaticLayer | None,
-    count: int,
-    seed: int,
-    number: int,
-    first: int,
-    images: Path,
-) -> Iterator[tuple[dict[str, Any], list[NDArray[np.uint8]]]]:
-    """`count` vehicles of one camera, half of them driving away where there are such."""
-    trips = random_traffic(scene, _WINDOW_S * max(1, count / 10), seed * 1009 + number, per_minute=14)
-    rng = np.random.default_rng([seed, 22, number])
-    candidates = [(trip, views) for trip in trips if (views := _views(scene, trip))]
-    rng.shuffle(candidates)
-    ways = [[c for c in candidates if c[0].lane.heading == h] for h in (-1, 1)]
-    chosen = [way[k] for k in range(max(map(len, ways))) for way in ways if k < len(way)][:count]
-    assert scene.background is not None
-    renderer = Renderer(scene.camera, scene.background, light, seed=seed * 1009 + number, static_layer=static_layer)
-    for index, (trip, views) in enumerate(chosen):
-        vehicle_id = first + index
-        instances, crops = [], []
-        for instance, view in enumerate(views):
-            image = _frame(scene, renderer, trips, view, light, vehicle_id * 10 + instance)
-            entry, crop = _instance(scene, view, image, vehicle_id, instance, rng)
-            path = images / entry["path"]
-            make_folder(path.parent)
-            write_atomic(path, bytes(cv2.imencode(".png", crop)[1]))
-            crops.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].reshape(-1))
-            instances.append(entry)
-        sample = {
-            "camera": scene.name,
-            "to_camera": trip.lane.heading < 0,
-            "annotation": f"synthetic {trip.kind}",
-            "instances": instances,
+    def __init__(self, name: str, number: int, seed: int) -> None:
+        self._seed = seed * 1009 + number
+        self._scene_rng = np.random.default_rng([seed, 21, number])
+        self._rng = np.random.default_rng([seed, 22, number])
+        self.scene: Scene = procedural_scene(self._scene_rng, _SETTINGS.frame_wh, name=name, both_ways=True)
+        light = make_light(_WEATHERS[number % len(_WEATHERS)], self._scene_rng)
+        self.light: Light = varied_light(light, self._scene_rng)
+        self._trips: list[Trip] = []
+        self._vehicles: dict[int, VehicleModel] = {}
+
+    def choose(self, count: int, kinds: Sequence[str] | None, used: Counter[str]) -> list[list[_View]]:
+        """Choose `count` vehicles, half of them driving away where there are such; returns their views.
+
+        Args:
+            count: number of vehicles.
+            kinds: see `write_boxcars_tree`.
+            used: how often each body type was chosen before; brought up to date.
+        """
+        duration = max(_SETTINGS.duration_s, _SETTINGS.seconds_per_vehicle * count)
+        self._trips = random_traffic(self.scene, duration, self._seed, per_minute=_SETTINGS.per_minute, kinds=kinds)
+        candidates = [views for trip in self._trips if (views := self._views(trip))]
+        self._rng.shuffle(candidates)
+        ways = [[c for c in candidates if c[0].trip.lane.heading == heading] for heading in (-1, 1)]
+        chosen: list[list[_View]] = []
+        while len(chosen) < count and any(ways):
+            for way in [way for way in ways if way][: count - len(chosen)]:
+                views = min(way, key=lambda v: used[v[0].trip.kind]) if kinds else way[0]
+                way[:] = [other for other in way if other is not views]
+                used[views[0].trip.kind] += 1
+                chosen.append(views)
+        return chosen
+
+    def _views(self, trip: Trip) -> list[_View]:
+        """Return up to four times at which the whole vehicle is in the frame and large enough, evenly spread."""
+        start, end = trip.span_s(self.scene.x_range)
+        times = np.arange(max(start, 0.0), end, 0.08)
+        if not len(times):
+            return []
+        near = np.stack([trip.near_point(t) for t in times])
+        pixels = self.scene.camera.project(road_cuboids(near, np.tile(trip.size_lwh, (len(times), 1))))
+        border, size = _SETTINGS.border_px, np.array(_SETTINGS.frame_wh)
+        with np.errstate(invalid="ignore"):
+            usable = ((pixels > border) & (pixels < size - border)).all(axis=(1, 2))
+            usable &= np.ptp(pixels[..., 1], axis=1) > _SETTINGS.min_height_px
+        indices = np.flatnonzero(usable)
+        if len(indices) < 2:
+            return []
+        spread = np.linspace(0, len(indices) - 1, min(_SETTINGS.instances, len(indices))).astype(int)
+        return [_View(trip, float(times[k]), pixels[k], self._crop(pixels[k])) for k in np.unique(indices[spread])]
+
+    def _crop(self, vertices_px: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return (4,) px, x0, y0, x1, y1: a box's outline with a margin."""
+        low, high = vertices_px.min(axis=0), vertices_px.max(axis=0)
+        margin = self._rng.uniform(0.02, 0.10, 4) * np.tile(high - low, 2) + 3
+        first = np.maximum(np.floor(low - margin[:2]), 0)
+        last = np.minimum(np.ceil(high + margin[2:]), _SETTINGS.frame_wh)
+        return np.concatenate([first, last]).astype(np.int64)
+
+    def samples(
+        self, chosen: Sequence[list[_View]], first_id: int, images: Path
+    ) -> Iterator[tuple[dict[str, Any], list[NDArray[np.uint8]]]]:
+        """Render the chosen vehicles and write their crops; yields each one's entry and its crops as JPEGs.
+
+        Args:
+            chosen: what `choose` returned.
+            first_id: number of the first vehicle in the tree.
+            images: folder of the tree's crops.
+        """
+        if not chosen:
+            return
+        crops_xyxy = np.array([view.crop_xyxy for views in chosen for view in views])
+        background, static_layer = draw_scene(self.scene, self.light, self._scene_rng, crops_xyxy)
+        renderer = Renderer(self.scene.camera, background, self.light, seed=self._seed, static_layer=static_layer)
+        for vehicle_id, views in enumerate(chosen, start=first_id):
+            instances, crops = [], []
+            for instance, view in enumerate(views):
+                image, _ = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
+                x0, y0, x1, y1 = view.crop_xyxy.tolist()
+                crop = np.ascontiguousarray(image[y0:y1, x0:x1])
+                entry = self._entry(view, vehicle_id, instance)
+                path = images / entry["path"]
+                make_folder(path.parent)
+                write_atomic(path, bytes(cv2.imencode(".png", crop)[1]))
+                crops.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].reshape(-1))
+                instances.append(entry)
+            trip = views[0].trip
+            sample = {
+                "camera": self.scene.name,
+                "to_camera": trip.lane.heading < 0,
+                "annotation": f"synthetic {trip.kind}",
+                "instances": instances,
+            }
+            yield sample, crops
+
+    def _placed(self, view: _View) -> list[Placed]:
+        """Return the vehicles that a view's crop shows, or whose shadows it may show."""
+        placed = []
+        for trip in self._trips:
+            start, end = trip.span_s(self.scene.x_range)
+            if start <= view.time_s <= end and self._reaches(trip, view):
+                if trip.track_id not in self._vehicles:
+                    self._vehicles[trip.track_id] = trip.vehicle(lamps=self.light.lamps)
+                placed.append(place(trip, self._vehicles[trip.track_id], view.time_s))
+        return placed
+
+    def _reaches(self, trip: Trip, view: _View) -> bool:
+        """Whether a vehicle, or the ground around it that its shadow may reach, lies in a view's crop."""
+        reach = _SETTINGS.shadow_reach_m
+        near = trip.near_point(view.time_s) - [reach, 0.0]
+        size = trip.size_lwh + np.array([2 * reach, 2 * reach, 0.0])
+        pixels = self.scene.camera.project(road_cuboids(near[None], size[None])[0])
+        if not np.isfinite(pixels).all():  # partly behind the camera
+            return trip is view.trip
+        x0, y0, x1, y1 = view.crop_xyxy.tolist()
+        (left, top), (right, bottom) = pixels.min(axis=0), pixels.max(axis=0)
+        return bool(left < x1 and right > x0 and top < y1 and bottom > y0)
+
+    def _entry(self, view: _View, vehicle_id: int, instance: int) -> dict[str, Any]:
+        """Return the instance's entry in `dataset.pkl`."""
+        low, high = view.vertices_px.min(axis=0), view.vertices_px.max(axis=0)
+        return {
+            "2DBB": [float(v) for v in (*low, *(high - low))],
+            "3DBB": own_front_first(view.vertices_px, view.trip.lane.heading).tolist(),
+            "3DBB_offset": [float(v) for v in view.crop_xyxy[:2]],
+            "instance_id": instance,
+            "path": f"{self.scene.name}/1/{vehicle_id:06d}_{instance:03d}.png",
         }
-        yield sample, crops
-
-
-def _frame(
-    scene: Scene, renderer: Renderer, trips: list[Trip], view: _View, light: Light, number: int
-) -> NDArray[np.uint8]:
-    here = []
-    for trip in trips:
-        start, end = trip.span_s(scene.x_range)
-        close = abs(trip.near_x(view.time_s) - view.trip.near_x(view.time_s)) < 25
-        if start <= view.time_s <= end and close:
-            here.append(place(trip, trip.vehicle(lamps=light.lamps), view.time_s))
-    image, _ = renderer.frame(here, number=number)
-    return image
-
-
-def _instance(
-    scene: Scene, view: _View, image: NDArray[np.uint8], vehicle_id: int, instance: int, rng: np.random.Generator
-) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    low, high = view.vertices_px.min(axis=0), view.vertices_px.max(axis=0)
-    margin = rng.uniform(0.02, 0.10, 4) * np.tile(high - low, 2) + 3
-    x0, y0 = np.maximum(np.floor(low - margin[:2]), 0).astype(int)
-    x1, y1 = np.minimum(np.ceil(high + margin[2:]), _FRAME_WH).astype(int)
-    entry = {
-        "2DBB": [float(v) for v in (*low, *(high - low))],
-        "3DBB": own_front_first(view.vertices_px, view.trip.lane.heading).tolist(),
-        "3DBB_offset": [float(x0), float(y0)],
-        "instance_id": instance,
-        "path": f"{scene.name}/1/{vehicle_id:06d}_{instance:03d}.png",
-    }
-    return entry, np.ascontiguousarray(image[y0:y1, x0:x1])
 
 
 def _splits(samples: list[dict[str, Any]], seed: int) -> dict[str, Any]:
