@@ -49,7 +49,7 @@ def demo(
         fps=clip["fps"],
         size_wh=parse_size(clip["size"]),
         seed=clip["seed"],
-        weather=Weather.parse(clip["weather"]),
+        weather=Weather(clip["weather"]),
         overwrite=True,
         progress=True,
     )

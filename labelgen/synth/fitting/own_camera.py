@@ -1,4 +1,4 @@
-"""Somebody's own camera as a scene: its road, its light and its faults, all taken from its video."""
+"""A user's own camera as a scene: its road, light and sensor, all estimated from its video."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from labelgen.synth.fitting.lighting import (
     fit_to_road,
     fit_to_shadows,
     fit_to_tones,
-    footage_parts,
     tones_of,
+    vehicle_parts,
 )
 from labelgen.synth.fitting.panel_noise import fit_to_panels
 from labelgen.synth.fitting.sensor import fit_sensor
@@ -34,24 +34,45 @@ from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import Sensor
 from labelgen.synth.shading.lighting import Light, Weather, make_light
 
-__all__ = ["OwnCamera", "load_own_camera"]
+__all__ = ["OWN_CAMERA", "OwnCamera", "OwnCameraThresholds", "load_own_camera"]
 
-_DEPTH_M = 60.0
-_LEAST_SEEN_M = 8.0
-_TRY_FRAMES, _TRY_EVERY_S, _TRY_SEED, _TRY_TRAFFIC = 40, 2.0, 4, 20.0
-_ROUNDS = 3
+
+@dataclass(frozen=True)
+class OwnCameraThresholds:
+    """Thresholds for making a scene of a video.
+
+    Args:
+        depth_m: length of the measured stretch of road.
+        min_visible_m: length of road that the picture must show.
+        trial_frames, trial_interval_s: frames that are rendered to compare vehicles with those of the video, and the
+            time between them. More frames give steadier tones, and take time.
+        trial_seed: of the traffic in these frames.
+        trial_per_minute: vehicles per lane and minute in these frames.
+        rounds: how often light and sensor are fitted.
+    """
+
+    depth_m: float = 60.0
+    min_visible_m: float = 8.0
+    trial_frames: int = 40
+    trial_interval_s: float = 2.0
+    trial_seed: int = 4
+    trial_per_minute: float = 20.0
+    rounds: int = 3
+
+
+OWN_CAMERA = OwnCameraThresholds()
 
 
 @dataclass(frozen=True, eq=False)
 class OwnCamera:
-    """A camera's road and what was measured on its video.
+    """A camera's road and what was estimated from its video.
 
     Args:
-        scene: with its picture.
+        scene: with its background image.
         light: of the video.
-        sensor: its faults.
+        sensor: of the camera.
         fps: frames per second.
-        measured: what was found, in words, for the user.
+        measured: name -> value in words, for the user.
     """
 
     scene: Scene
@@ -72,28 +93,30 @@ def load_own_camera(
     weather: Weather | None = None,
     sun: tuple[float, float] | None = None,
     plates: str | None = None,
+    thresholds: OwnCameraThresholds = OWN_CAMERA,
 ) -> OwnCamera:
-    """Everything that putting traffic into somebody's own video takes.
+    """Estimate all that rendering traffic into a video needs.
 
     Args:
         video: of a fixed camera above a straight road, or a folder of images.
-        folder: where a calibration and a road mask made on the way are kept, below it by the video's name.
-        rng: decides on what the video does not tell.
+        folder: a calibration and a road mask that are made on the way are kept in a folder of the video's name in it.
+        rng: gives what the video does not show.
         calibration, road_mask: use these rather than NAME.calibration.json and NAME.mask.png beside the video.
-        heading: +1 traffic drives away, -1 it comes closer; as seen in the video when None.
-        weather: kind of light; by the shadows when None.
-        sun: degrees, its height above the horizon and how far right of straight ahead it stands; by the shadows when
+        heading: +1 traffic drives away, -1 it comes closer; from the video's traffic when None.
+        weather: kind of light; from the shadows when None.
+        sun: degrees, elevation above the horizon and azimuth to the right of straight ahead; from the shadows when
             None.
-        plates: family of number plates of the vehicles by which colours are fitted; any when None.
+        plates: family of number plates of the vehicles to which colours are fitted; any when None.
+        thresholds: of this stage.
 
     Raises:
         DataError: the video, its calibration or its road mask is missing, damaged or of another size.
-        CalibrationError: there is none, and the video cannot carry one.
+        CalibrationError: there is no calibration, and the video does not allow one.
     """
     files = find_scene(video, calibration=calibration, road_mask=road_mask, may_lack=True)
     parts = complete_scene(files, folder / files.name)
     footage = read_footage(video)
-    height, width = footage.empty.shape[:2]
+    height, width = footage.background.shape[:2]
     camera = parts.camera((width, height))
     road = parts.road().pixels
     if abs(road.shape[0] - height) > 1 or abs(road.shape[1] - width) > 1:
@@ -102,41 +125,42 @@ def load_own_camera(
             "make the mask with labelgen road-mask"
         )
     road = road[:height, :width]
-    lanes, borders = find_lanes(camera, road, footage.empty, observe(open_frames(video)).tracks, heading)
-    scene = _scene(parts.name, camera, lanes, borders, road, footage.empty)
+    lanes, borders = find_lanes(camera, road, footage.background, observe(open_frames(video)).tracks, heading)
+    scene = _scene(parts.name, camera, lanes, borders, road, footage.background, thresholds)
     shadows = find_shadows(footage, camera, road)
     if sun is not None:
         shadows = replace(shadows, sun=_direction(*sun))
     weather = weather or (Weather.DAY if shadows.sunny else Weather.OVERCAST)
     sensor = fit_sensor(footage)
-    light = fit_to_shadows(fit_to_road(make_light(weather, rng), footage.empty, road), shadows)
-    vehicles = list(footage_parts(footage, road, shadows))
+    light = fit_to_shadows(fit_to_road(make_light(weather, rng), footage.background, road), shadows)
+    vehicles = list(vehicle_parts(footage, road, shadows))
     assert sensor.noise_model is not None
     sensor = replace(sensor, noise_model=fit_to_panels(sensor.noise_model, vehicles))
     real = tones_of(vehicles)
     if real is not None:
-        light, sensor = _fit_to_vehicles(light, sensor, real, scene, shadows, footage, plates)
+        light, sensor = _fit_to_vehicles(light, sensor, real, scene, shadows, footage, plates, thresholds)
     return OwnCamera(scene, light, sensor, footage.fps, _words(footage, scene, light, sensor, shadows, real))
 
 
 def _direction(height_deg: float, right_deg: float) -> NDArray[np.float64]:
-    """(3,) towards the sun in the road frame."""
+    """Return the (3,) unit vector towards the sun in the road frame."""
     up, aside = np.radians(height_deg), np.radians(right_deg)
     return np.array([np.cos(up) * np.cos(aside), -np.cos(up) * np.sin(aside), np.sin(up)])
 
 
 def _scene(
     name: str, camera: Camera, lanes: tuple[Lane, ...], borders: NDArray[np.float64], road: NDArray[np.bool_],
-    empty: NDArray[np.uint8],
+    background: NDArray[np.uint8], thresholds: OwnCameraThresholds,
 ) -> Scene:  # fmt: skip
-    """The road with three lines across, as far as it is seen, the one crossed last first."""
+    """Return the visible road with three measurement lines across, the one crossed last first."""
     measured = [lane for lane in lanes if lane.index is not None]
     middle = float(borders.mean())
-    seen = visible_range(camera, middle)
-    if seen is None or seen[1] - max(seen[0], 2.0) < _LEAST_SEEN_M:
-        raise DataError(f"{name}: the picture shows less than {_LEAST_SEEN_M:.0f} m of the road; check its calibration")
-    near = max(seen[0], 2.0) + 1.5
-    far = min(seen[1] - 1.5, near + _DEPTH_M)
+    visible = visible_range(camera, middle)
+    shortest = thresholds.min_visible_m
+    if visible is None or visible[1] - max(visible[0], 2.0) < shortest:
+        raise DataError(f"{name}: the picture shows less than {shortest:.0f} m of the road; check its calibration")
+    near = max(visible[0], 2.0) + 1.5
+    far = min(visible[1] - 1.5, near + thresholds.depth_m)
     marks = np.linspace(near + 1, far - 1, 3)
     if measured[0].heading > 0:
         marks = marks[::-1]
@@ -146,61 +170,65 @@ def _scene(
     pick = slice(None, None, max(1, len(rows) // 20000))
     x = camera.road_points(np.stack([columns[pick], rows[pick]], axis=1) + 0.5, invalid="nan")[:, 0]
     reach = float(min(np.nanmax(x) + 30.0, FARTHEST_M))
-    return Scene(name, camera, lanes, along, across, road, empty, (-25.0, reach))
+    return Scene(name, camera, lanes, along, across, road, background, (-25.0, reach))
 
 
 def _fit_to_vehicles(
     light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows, footage: Footage,
-    plates: str | None,
+    plates: str | None, thresholds: OwnCameraThresholds,
 ) -> tuple[Light, Sensor]:  # fmt: skip
-    """Light and sensor with which drawn vehicles have the tones and details of real ones."""
+    """Return light and sensor with which rendered vehicles have the tones and details of real ones."""
     measured = sensor
-    traffic = _some_traffic(scene, light, plates)
-    for _ in range(_ROUNDS):
-        # Looked at as the video is, so that what is taken for a vehicle is the same.
-        looks, known = _drawn_looks(scene, light, sensor, traffic)
-        drawn = tones_of(list(footage_parts(replace(footage, looks=looks), scene.road_mask, shadows, known)))
+    traffic = _trial_traffic(scene, light, plates, thresholds)
+    for _ in range(thresholds.rounds):
+        # Vehicles are cut out as from the video, so that both samples are biased alike.
+        frames, masks = _trial_frames(scene, light, sensor, traffic)
+        drawn = tones_of(list(vehicle_parts(replace(footage, frames=frames), scene.road_mask, shadows, masks)))
         if drawn is None:
             break
         sensor = fit_to_details(sensor, measured, real, drawn)
-        # Tones change how dark shadows come out, so these are looked at again.
+        # Tones change how dark shadows come out, so these are fitted again.
         light = fit_to_shadows(fit_to_tones(light, real, drawn), shadows)
     return light, sensor
 
 
-def _some_traffic(scene: Scene, light: Light, plates: str | None) -> list[list[Placed]]:
-    """What drives in the scene at several times."""
-    trips = random_traffic(scene, _TRY_FRAMES * _TRY_EVERY_S, _TRY_SEED, per_minute=_TRY_TRAFFIC)
-    moments: list[list[Placed]] = [[] for _ in range(_TRY_FRAMES)]
+def _trial_traffic(
+    scene: Scene, light: Light, plates: str | None, thresholds: OwnCameraThresholds
+) -> list[list[Placed]]:
+    """Return the vehicles in the scene at several times."""
+    count, interval = thresholds.trial_frames, thresholds.trial_interval_s
+    trips = random_traffic(scene, count * interval, thresholds.trial_seed, per_minute=thresholds.trial_per_minute)
+    moments: list[list[Placed]] = [[] for _ in range(count)]
     for trip in trips:
-        first, last = trip.span_s((0.0, _DEPTH_M))
-        times = [k for k in range(_TRY_FRAMES) if first <= k * _TRY_EVERY_S <= last]
+        first, last = trip.span_s((0.0, thresholds.depth_m))
+        times = [k for k in range(count) if first <= k * interval <= last]
         if times and trip.kind != "motorcycle":
             vehicle = trip.vehicle(lamps=light.lamps, plates=plates)
             for k in times:
-                centre = trip.near_point(k * _TRY_EVERY_S) + np.array([trip.size_lwh[0] / 2, 0.0])
-                speed = trip.speed_ms(k * _TRY_EVERY_S)
+                centre = trip.near_point(k * interval) + np.array([trip.size_lwh[0] / 2, 0.0])
+                speed = trip.speed_ms(k * interval)
                 moments[k].append(Placed(trip.track_id, vehicle, centre, trip.lane.heading, speed))
     return moments
 
 
-def _drawn_looks(
+def _trial_frames(
     scene: Scene, light: Light, sensor: Sensor, traffic: list[list[Placed]]
 ) -> tuple[NDArray[np.uint8], list[NDArray[np.bool_]]]:
-    """(K, H, W, 3) BGR, traffic drawn into the scene, and for each look (H, W) where vehicles are."""
+    """Render traffic; return (K, H, W, 3) uint8 BGR frames and for each (H, W) where vehicles are."""
     assert scene.background is not None
     renderer = Renderer(scene.camera, scene.background, light, seed=0, sensor=sensor)
-    looks, known = [], []
+    frames, masks = [], []
     for number, placed in enumerate(traffic):
-        look, drawn = renderer.frame(placed, number=number)
-        looks.append(look)
-        known.append(covered_by(drawn, look.shape[:2]))
-    return np.stack(looks), known
+        frame, drawn = renderer.frame(placed, number=number)
+        frames.append(frame)
+        masks.append(covered_by(drawn, frame.shape[:2]))
+    return np.stack(frames), masks
 
 
 def _words(
     footage: Footage, scene: Scene, light: Light, sensor: Sensor, shadows: Shadows, real: Tones | None
 ) -> dict[str, str]:
+    """Return what was estimated, in words."""
     ways = {1: "away", -1: "closer"}
     lanes = ", ".join(f"{lane.y0:.1f} m {ways[lane.heading]}" for lane in scene.lanes)
     shadow = "none stands out" if shadows.left is None else f"{shadows.left:.0%} of the road's brightness"
@@ -208,7 +236,7 @@ def _words(
     height, aside = np.degrees(np.arcsin(sun[2])), np.degrees(np.arctan2(-sun[1], sun[0]))
     where = f"{height:.0f} degrees high, {aside:.0f} right of ahead" if shadows.sunny else "hidden"
     if shadows.sunny and shadows.sun is None:
-        where += ", which is a guess: shadows do not tell; give --sun"
+        where += ", which is a guess, since shadows do not show it; sun can be given"
     assert sensor.noise_model is not None
     noise = sensor.noise_model.grey[len(sensor.noise_model.grey) // 2]
     return {

@@ -1,40 +1,56 @@
-"""How even the panels of a video's vehicles are: recorders leave less noise on what moves than on what stands."""
+"""Noise on the panels of a video's vehicles: codecs leave less noise on moving parts than on still ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
-from labelgen.synth.fitting.lighting import Part
+from labelgen.synth.fitting.lighting import VehiclePart
 from labelgen.synth.sensor.noise import NoiseModel
 
-__all__ = ["fit_to_panels", "panel_noise"]
-
-_FEWEST_PX, _FEWEST = 30, 4
-_EVEN_PX, _EVENEST_VEHICLES = 10, 20
-"""Percentiles: a vehicle's evenest places, and of those the evenest vehicles', show noise rather than shape."""
-_SEEN = 0.55
-"""What of white noise's standard deviation `panel_noise` finds at those places, as measured on even pictures."""
-
-_PER_LEVEL = 1.35
-"""How much noisier one brightness may be than the next."""
+__all__ = ["PANELS", "PanelThresholds", "fit_to_panels", "panel_noise"]
 
 
-def panel_noise(parts: Sequence[Part], levels: int) -> list[float]:
-    """Standard deviation of what is finer than a pixel and a half where vehicles are evenest.
+@dataclass(frozen=True)
+class PanelThresholds:
+    """Thresholds for measuring noise on vehicles.
 
     Args:
-        parts: vehicles.
-        levels: at how many brightnesses, spread evenly from 0 to 255.
+        min_pixels: pixels of one brightness that a vehicle must have.
+        min_vehicles: vehicles that must have that brightness.
+        even_percentile: percentile of a vehicle's local deviation that shows noise rather than shape.
+        even_vehicles_percentile: percentile over the vehicles, likewise.
+        white_noise_share: share of white noise's standard deviation that these percentiles find on even pictures.
+        level_factor: how much noisier one brightness may be than the next.
+    """
+
+    min_pixels: int = 30
+    min_vehicles: int = 4
+    even_percentile: float = 10
+    even_vehicles_percentile: float = 20
+    white_noise_share: float = 0.55
+    level_factor: float = 1.35
+
+
+PANELS = PanelThresholds()
+
+
+def panel_noise(parts: Sequence[VehiclePart], levels: int, thresholds: PanelThresholds = PANELS) -> list[float]:
+    """Return the standard deviation of details finer than 1.5 px where vehicles are most even.
+
+    Args:
+        parts: windows that show vehicles, and their masks.
+        levels: number of brightnesses, spread evenly from 0 to 255.
+        thresholds: of this stage.
 
     Returns:
-        grey levels; nan where too few vehicles are that bright.
+        Grey levels for each brightness; nan where too few vehicles are that bright.
     """
-    found: list[list[float]] = [[] for _ in range(levels)]
+    deviations: list[list[float]] = [[] for _ in range(levels)]
     step = 255 / (levels - 1)
     for image, mask in parts:
         grey: Any = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
@@ -44,26 +60,30 @@ def panel_noise(parts: Sequence[Part], levels: int) -> list[float]:
         inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         for k in range(levels):
             here = spread[inner & (at == k)]
-            if len(here) >= _FEWEST_PX:
-                found[k].append(float(np.percentile(here, _EVEN_PX)))
-    return [float(np.percentile(f, _EVENEST_VEHICLES)) if len(f) >= _FEWEST else np.nan for f in found]
+            if len(here) >= thresholds.min_pixels:
+                deviations[k].append(float(np.percentile(here, thresholds.even_percentile)))
+    percentile, fewest = thresholds.even_vehicles_percentile, thresholds.min_vehicles
+    return [float(np.percentile(d, percentile)) if len(d) >= fewest else np.nan for d in deviations]
 
 
-def fit_to_panels(noise_model: NoiseModel, parts: Sequence[Part]) -> NoiseModel:
-    """The noise with the share of it that even panels of a video's vehicles show.
+def fit_to_panels(
+    noise_model: NoiseModel, parts: Sequence[VehiclePart], thresholds: PanelThresholds = PANELS
+) -> NoiseModel:
+    """Return the noise model with the share of the noise that even panels of a video's vehicles show.
 
     Args:
         noise_model: of the video's road.
-        parts: its vehicles.
+        parts: windows that show vehicles, and their masks.
+        thresholds: of this stage.
     """
-    seen = np.array(panel_noise(parts, len(noise_model.grey)))
-    known = np.flatnonzero(np.isfinite(seen))
+    noise = np.array(panel_noise(parts, len(noise_model.grey), thresholds))
+    known = np.flatnonzero(np.isfinite(noise))
     if not len(known):
         return noise_model
-    most = np.interp(np.arange(len(seen)), known, seen[known]) / _SEEN
-    # Shape adds to what is seen and never takes away, and brightnesses that are near each other have much the same
-    # noise: the calmest ones tell what there is at most in those beside them.
-    apart = np.abs(np.subtract.outer(np.arange(len(seen)), np.arange(len(seen))))
-    most = (most[None] * _PER_LEVEL**apart).min(axis=1)
-    shares = np.clip(most / np.maximum(noise_model.grey, 0.1), 0, 1)
+    at_most = np.interp(np.arange(len(noise)), known, noise[known]) / thresholds.white_noise_share
+    # Shape adds to the measured noise and never takes away, and similar brightnesses have similar noise: the least
+    # noisy ones limit their neighbours.
+    apart = np.abs(np.subtract.outer(np.arange(len(noise)), np.arange(len(noise))))
+    at_most = (at_most[None] * thresholds.level_factor**apart).min(axis=1)
+    shares = np.clip(at_most / np.maximum(noise_model.grey, 0.1), 0, 1)
     return replace(noise_model, on_vehicles=tuple(shares.tolist()))

@@ -1,4 +1,4 @@
-"""Noise that depends on how bright a pixel is, as sensors have it."""
+"""Sensor noise whose strength depends on brightness."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from numpy.typing import NDArray
 __all__ = ["NoiseModel"]
 
 _SPREAD = 24.0
-"""Standard deviation of a tile's stored noise; it is scaled down to what is wanted."""
-_MORE = 128
+"""Standard deviation of the noise that a tile stores; it is scaled when it is added."""
+_MARGIN = 128
+"""By how many px a tile is larger than a frame."""
 _FIXED = 4096
+"""One in the fixed-point arithmetic of `_add`."""
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations in grey levels at brightnesses spread evenly from 0 to 255.
+    """Standard deviations of noise, grey levels, at brightnesses spread evenly from 0 to 255.
 
     Args:
         grey: of brightness.
-        colour: of each of the two colour differences.
-        grey_px, colour_px: sigma of the blur that makes neighbours alike, px.
-        on_vehicles: shares of both that vehicles have: what moves comes out of a recorder smoother than what stands.
+        colour: of each of the two chroma planes.
+        grey_px, colour_px: sigma of the blur that correlates neighbouring pixels, px.
+        on_vehicles: shares of both that vehicles show, likewise by brightness: codecs smooth moving parts more.
     """
 
     grey: tuple[float, ...]
@@ -35,8 +37,16 @@ class NoiseModel:
     on_vehicles: tuple[float, ...] = (1.0,)
 
     def tile(self, size_wh: tuple[int, int], rng: np.random.Generator) -> NDArray[np.int8]:
-        """(H + 128, W + 128, 3) noise of unit strength, larger than a frame so that each takes another part of it."""
-        shape = (size_wh[1] + _MORE, size_wh[0] + _MORE)
+        """Return a tile of noise, larger than a frame so that each frame uses another part of it.
+
+        Args:
+            size_wh: frame size in px.
+            rng: gives the noise.
+
+        Returns:
+            (H + 128, W + 128, 3) int8: brightness and two chroma planes.
+        """
+        shape = (size_wh[1] + _MARGIN, size_wh[0] + _MARGIN)
         out = np.empty((*shape, 3), dtype=np.int8)
         for k, sigma in enumerate((self.grey_px, self.colour_px, self.colour_px)):
             plane = rng.normal(size=shape).astype(np.float32)
@@ -52,12 +62,12 @@ class NoiseModel:
 
         Args:
             image: the frame.
-            tile: what `tile` gave.
-            number: of the frame; picks the part of the tile.
-            vehicles: (H, W) where vehicles are; nowhere when None.
+            tile: from `tile`.
+            number: of the frame; selects the part of the tile.
+            vehicles: (H, W) bool, where vehicles are; nowhere when None.
         """
         height, width = image.shape[:2]
-        dx, dy = np.random.default_rng([number, 5]).integers(0, _MORE, 2).tolist()
+        dx, dy = np.random.default_rng([number, 5]).integers(0, _MARGIN, 2).tolist()
         steps = np.linspace(0, 255, len(self.grey))
         shares = np.interp(np.arange(256), np.linspace(0, 255, len(self.on_vehicles)), self.on_vehicles)
         tables = [np.interp(np.arange(256), steps, part) * _FIXED / _SPREAD for part in (self.grey, self.colour)]

@@ -1,7 +1,7 @@
-"""What a camera and its recorder do to a whole frame: fewer lines, smeared colours, sharpening, writing.
+"""Effects of a camera and its recorder on a whole frame: resolution, chroma blur, sharpening, captions.
 
-Nothing here moves anything: truth stays what it is. Writing that the camera burns in lies over vehicles without
-being cut out of their masks.
+No effect moves anything, so the truth stays valid. Captions that the camera burns in lie over vehicles and are not
+cut out of their masks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from labelgen.synth.sensor.noise import NoiseModel
 __all__ = ["HALO_PX", "PLAIN", "Sensor", "make_sensor"]
 
 HALO_PX = 0.9
-"""Sigma of the blur that sharpening takes away, px."""
+"""Sigma of the blur that unsharp masking subtracts, px."""
 
 _INVERSE_STEPS = 12
 _FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_PLAIN, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX_SMALL)
@@ -26,15 +26,15 @@ _FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_PLAIN, cv2.FONT_HERSHEY_DUP
 
 @dataclass(frozen=True)
 class Caption:
-    """A line of burnt-in text.
+    """A line of text that the camera burns into the picture.
 
     Args:
-        text: with `{clock}` where the time of day goes.
-        corner: (x, y) share of the frame, of the text's left end.
-        height: share of the frame's height.
-        font: OpenCV's number.
-        band: whether a dark band lies behind it.
-        rim: whether letters have a dark rim.
+        text: `{clock}` stands for the time of day.
+        corner: (x, y) of the text's left end, as shares of the frame's width and height.
+        height: of the letters, as a share of the frame's height.
+        font: OpenCV's number of the font.
+        band: whether a dark band lies behind the text.
+        rim: whether letters have a dark outline.
     """
 
     text: str
@@ -47,22 +47,23 @@ class Caption:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera's faults.
+    """Imperfections of a camera.
 
     Args:
-        lines: share of the frame's lines and columns that the sensor has; 1 for all.
-        smear: sigma of the colours' blur along lines, share of the frame's width; 0 for none.
-        sharpen: strength of the halos that sharpening leaves; 0 for none.
-        peaking: strength of the halos along lines alone, as analogue cameras make them.
-        crf: quality of the H.264 stream; higher is worse.
+        lines: resolution of the sensor, as a share of the frame's lines and columns.
+        smear: sigma of the chroma blur along lines, as a share of the frame's width; 0 for none.
+        sharpen: strength of unsharp masking, which leaves halos; 0 for none.
+        peaking: strength of sharpening along lines alone, as in analogue cameras; 0 for none.
+        crf: constant rate factor of the H.264 stream; higher is worse.
         captions: text in the picture.
-        start_s: time of day at the first frame.
-        arms: length of the stars that the lens draws around glints of the sun, share of the frame's width; 0 for none.
-        blur_px: sigma of the lens's blur.
+        start_s: time of day at the first frame, seconds.
+        arms: length of the stars that the lens draws around reflections of the sun, as a share of the frame's width;
+            0 for none.
+        blur_px: sigma of the lens blur, px.
         noise_model: noise by brightness; None for the even noise of `Light`.
-        in_picture: whether the picture of the empty road comes from this camera and has its faults already.
-        block_step: how coarsely an old recorder rounds the blocks that vehicles drive through, see
-            `add_block_artifacts`; 0 for not at all. Only with `in_picture`.
+        in_picture: whether the background image comes from this camera, so that it has these effects already.
+        block_step: quantisation step of an old codec, grey levels, see `add_block_artifacts`; 0 for none. It is used
+            with `in_picture` only.
     """
 
     lines: float = 1.0
@@ -79,9 +80,13 @@ class Sensor:
     block_step: float = 0.0
 
     def before_noise(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A frame (H, W, 3) BGR with the sensor's resolution, its colour smear and the sharpening after it.
+        """Apply the sensor's resolution, then the chroma blur, then sharpening of brightness alone.
 
-        Brightness alone is sharpened; a camera without faults gives the frame back as it is.
+        Args:
+            image: (H, W, 3) uint8 BGR.
+
+        Returns:
+            (H, W, 3) uint8 BGR; `image` itself for a camera without these effects.
         """
         if self.lines >= 1 and not (self.smear or self.sharpen or self.peaking):
             return image
@@ -111,11 +116,14 @@ class Sensor:
         return np.asarray(out, dtype=np.uint8)
 
     def sharpened(self, planes: NDArray[np.float32], width_px: int) -> NDArray[np.float32]:
-        """Any difference of pictures (H, W, 3) BGR after sharpening and smearing, both of which are linear.
+        """Apply sharpening and chroma blur, both of which are linear, to a picture or a difference of pictures.
 
         Args:
-            planes: a picture, or what one has more than another.
+            planes: (H, W, 3) float32 BGR.
             width_px: of the whole frame.
+
+        Returns:
+            (H, W, 3) float32 BGR.
         """
         bright = planes @ np.array([0.114, 0.587, 0.299], dtype=np.float32)
         sharper = bright
@@ -127,18 +135,30 @@ class Sensor:
         return np.asarray(planes + (sharper - bright)[..., None])
 
     def unsharpened(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What `sharpened` turns into this picture (H, W, 3) BGR, nearly: the road before the camera's electronics."""
-        wanted = picture.astype(np.float32)
+        """Invert `sharpened` approximately, by fixed-point iteration.
+
+        Args:
+            picture: (H, W, 3) uint8 BGR.
+
+        Returns:
+            (H, W, 3) uint8 BGR that `sharpened` turns into `picture`.
+        """
+        target = picture.astype(np.float32)
         if not self.sharpen:
             return picture
         plain = replace(self, smear=0.0)
-        out = wanted.copy()
+        out = target.copy()
         for _ in range(_INVERSE_STEPS):
-            out += (wanted - plain.sharpened(out, picture.shape[1])) / (1 + self.sharpen)
+            out += (target - plain.sharpened(out, picture.shape[1])) / (1 + self.sharpen)
         return np.asarray(out.round().clip(0, 255).astype(np.uint8))
 
     def write(self, image: NDArray[np.uint8], time_s: float) -> None:
-        """Burn the captions into a frame, in place."""
+        """Burn the captions into a frame, in place.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+            time_s: time since the first frame.
+        """
         height, width = image.shape[:2]
         clock = self.start_s + time_s
         hms = f"{int(clock // 3600) % 24:02d}:{int(clock // 60) % 60:02d}:{int(clock) % 60:02d}"
@@ -161,11 +181,11 @@ def _even(value: float) -> int:
 
 
 PLAIN = Sensor()
-"""A camera without faults."""
+"""A camera without imperfections."""
 
 
 def make_sensor(rng: np.random.Generator) -> Sensor:
-    """A camera as traffic is filmed with: mostly good ones, some sharpened, some old and coarse; half of them write."""
+    """Sample a traffic camera: most are good, some sharpened, some old and coarse; half of them burn in captions."""
     style = rng.random()
     captions = _captions(rng) if rng.random() < 0.5 else ()
     start = rng.uniform(6, 20) * 3600

@@ -1,4 +1,4 @@
-"""Weather and camera: where the sun stands, how bright sky and road are, and what the camera makes of it."""
+"""Light of a recording: direction of the sun, radiance of sky and road, and the camera's tone curve."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import LabelgenError
-
 __all__ = ["Light", "Weather", "make_light", "varied_light"]
 
 
-CURVE_STEPS = 1024
-LUMA = np.array([0.30, 0.59, 0.11], dtype=np.float32)
+_CURVE_STEPS = 1024
+"""Entries of the tone curve per unit of linear light."""
+_LUMA = np.array([0.30, 0.59, 0.11], dtype=np.float32)
 
 
 class Weather(StrEnum):
@@ -28,36 +27,28 @@ class Weather(StrEnum):
     DUSK = "dusk"
     RAIN = "rain"
 
-    @classmethod
-    def parse(cls, text: str) -> Weather:
-        """Weather from its name; LabelgenError names the known ones."""
-        for weather in cls:
-            if weather.value == text.strip().lower():
-                return weather
-        raise LabelgenError(f"--weather {text}: unknown; use one of {', '.join(w.value for w in cls)}")
-
 
 @dataclass(frozen=True, eq=False)
 class Light:
     """The light of a recording, in linear RGB; white paint in the open is about 1 at exposure 1.
 
     Args:
-        weather: what it is.
+        weather: kind of light.
         sun_direction: (3,) unit vector towards the sun, road frame.
-        sun: (3,) irradiance on a surface that faces the sun; zero when hidden.
-        sky_low, sky_high: (3,) radiance near the horizon and overhead.
+        sun: (3,) irradiance on a surface that faces the sun; zero when it is hidden.
+        sky_low, sky_high: (3,) radiance near the horizon and at the zenith.
         horizon: (3,) radiance of trees and houses.
         road: (3,) albedo of asphalt.
-        exposure: factor before the camera's curve.
+        exposure: factor before the tone curve.
         noise: standard deviation of the sensor's noise in grey levels.
         shutter_s: exposure time.
         lamps: whether vehicles have their lamps on.
-        haze_per_m: share of the light that a metre of air takes away, and fills up with its own.
+        haze_per_m: extinction coefficient of the air, 1 / m; the lost light is replaced by that of the air.
         saturation: 1 keeps colours, 0 is grey.
-        contrast: steepness of the camera's curve around middle grey.
+        contrast: slope of the tone curve around middle grey.
         lift: grey level, 0 to 1, to which black is raised.
-        tone: pairs of grey levels, rising: what the camera makes of what the curve gives; straight when empty.
-        balance: factors of red, green and blue after all of that: the tint of the whole picture.
+        tone: rising pairs of grey levels, a further tone curve; the identity when empty.
+        balance: factors of red, green and blue after the tone curves: the white balance.
     """
 
     weather: Weather
@@ -80,7 +71,7 @@ class Light:
 
     @property
     def ambient(self) -> NDArray[np.float64]:
-        """(3,) irradiance of the whole sky on a surface that faces up."""
+        """(3,) irradiance of the sky on a horizontal surface."""
         return np.asarray(0.35 * self.sky_low + 0.65 * self.sky_high)
 
     @property
@@ -95,8 +86,8 @@ class Light:
 
     @cached_property
     def curve(self) -> NDArray[np.float32]:
-        """(3, 4 * `CURVE_STEPS` + 2) linear red, green and blue, 0 to 4, to 0-255: a gamma with a soft shoulder."""
-        value = np.arange(4 * CURVE_STEPS + 2) / CURVE_STEPS
+        """(3, 4 * `_CURVE_STEPS` + 2) linear red, green and blue, 0 to 4, to 0-255: a gamma with a soft shoulder."""
+        value = np.arange(4 * _CURVE_STEPS + 2) / _CURVE_STEPS
         value = np.where(value > 0.6, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)), value) ** (1 / 2.2)
         middle = 0.45
         steep = middle + self.contrast * (value - middle)
@@ -104,7 +95,7 @@ class Light:
         return np.asarray(np.outer(self.balance, self.toned(levels)).clip(0, 255), dtype=np.float32)
 
     def toned(self, levels: Any) -> NDArray[np.float64]:
-        """Grey levels after `tone`."""
+        """Return grey levels, of any shape, after `tone`."""
         if not self.tone:
             return np.asarray(levels, dtype=np.float64)
         steps = np.array(self.tone)
@@ -112,31 +103,31 @@ class Light:
 
     @cached_property
     def around(self) -> NDArray[np.float32]:
-        """(192, 192, 3) radiance of sky, clouds, skyline and ground as paint and glass mirror them.
+        """(192, 192, 3) environment map: radiance of sky, clouds, skyline and ground.
 
-        An octahedron unfolded: the square's middle is the zenith, its corners are the nadir, the diamond between them
-        the horizon; columns run along x, rows along y.
+        Octahedral map: the square's middle is the zenith, its corners are the nadir, the diamond between them is the
+        horizon; columns run along x, rows along y. See Engelhardt and Dachsbacher, Octahedron environment maps (2008).
         """
         return _surroundings(self)
 
     def through_air(self, radiance: Any, distance_m: Any) -> Any:
-        """Radiance (..., 3) as it arrives from a distance (..., 1)."""
+        """Return radiance (..., 3) after its way through the air over a distance (..., 1) in metres."""
         if not self.haze_per_m:
             return radiance
         kept = np.exp(np.float32(-self.haze_per_m) * distance_m)
         return radiance * kept + self.air.astype(np.float32) * (1 - kept)
 
     def grey_levels(self, radiance: Any) -> NDArray[np.float32]:
-        """Radiance (..., 3) RGB to what the camera gives, 0-255."""
+        """Return the camera's grey levels (..., 3) float32, 0 to 255, of radiance (..., 3), both RGB."""
         exposed = np.asarray(radiance, dtype=np.float32) * np.float32(self.exposure)
         if self.saturation != 1:
-            grey = exposed @ LUMA
+            grey = exposed @ _LUMA
             exposed = grey[..., None] + np.float32(self.saturation) * (exposed - grey[..., None])
-        at = (np.clip(exposed, 0, 4) * CURVE_STEPS).astype(np.int32)
+        at = (np.clip(exposed, 0, 4) * _CURVE_STEPS).astype(np.int32)
         return np.asarray(self.curve[np.arange(3), at])
 
     def packed(self) -> NDArray[np.float64]:
-        """(23,) as `raster.shade` takes it."""
+        """Return (23,) float64, the light as `rasterizer.shade` takes it."""
         lit = 1.6 / self.exposure
         parts = (self.sun_direction, self.road_radiance, self.sun, self.horizon, self.sky_low, self.sky_high)
         return np.concatenate([*parts, [lit], self.air, [self.saturation]])
@@ -167,7 +158,7 @@ _RECIPES: dict[Weather, dict[str, Any]] = {
 
 
 def make_light(weather: Weather, rng: np.random.Generator) -> Light:
-    """Light of one kind; the sun's place and the balance of colours vary."""
+    """Sample the light of one weather: the sun's direction, brightness and tint vary."""
     recipe = _RECIPES[weather]
     height = np.radians(rng.uniform(*recipe["height"]))
     around = rng.uniform(0, 2 * np.pi)
@@ -190,13 +181,13 @@ def make_light(weather: Weather, rng: np.random.Generator) -> Light:
 
 
 def varied_light(light: Light, rng: np.random.Generator) -> Light:
-    """The same weather over another road, through other air and another camera, as recordings differ.
+    """Sample the same weather with another road surface, haze and camera.
 
-    New and old asphalt, pale concrete; clear and hazy air; cameras that are steep, flat, colourful, pale or tinted.
+    Asphalt is new or old, or pale concrete; air is clear or hazy; tone curves, saturation and tint differ.
     """
     tone = float(np.exp(rng.normal(0, 0.25))) if rng.random() < 0.75 else rng.uniform(1.5, 2.4)
     road = light.road * tone * rng.normal(1, 0.02, 3)
-    # Automatic exposure holds back part of the difference.
+    # Automatic exposure compensates for half of the difference.
     before = float(light.road_radiance.mean())
     after = float(replace(light, road=road).road_radiance.mean())
     hazy = rng.random() < 0.22
@@ -221,7 +212,7 @@ def varied_light(light: Light, rng: np.random.Generator) -> Light:
 
 
 def _waves(azimuth: NDArray[Any], rng: np.random.Generator, octaves: int) -> NDArray[np.float64]:
-    """Periodic noise around the horizon, about -1 to 1."""
+    """Return periodic noise around the horizon, about -1 to 1."""
     total = np.zeros_like(azimuth)
     for k in range(octaves):
         total += np.sin((2 * k + 2) * azimuth + rng.uniform(0, 2 * np.pi)) / (1 + 0.5 * k)
@@ -229,6 +220,7 @@ def _waves(azimuth: NDArray[Any], rng: np.random.Generator, octaves: int) -> NDA
 
 
 def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
+    """Return the environment map of `Light.around`."""
     rng = np.random.default_rng(int(1e6 * (1 + light.sun_direction[0])))
     grid = (np.arange(side) + 0.5) / side * 2 - 1
     u, v = np.meshgrid(grid, grid)
@@ -240,8 +232,8 @@ def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     azimuth = np.arctan2(y, x)
     climb = np.sqrt(np.clip(z, 0, 1))[..., None]
     out = light.sky_low + (light.sky_high - light.sky_low) * climb
-    # Clouds: wide bright patches under a clear sky, hardly darker ones under a grey one; what mirrors them is bowed and
-    # a few pixels large, so that finer ones would look like dirt on it.
+    # Clouds: wide bright patches under a clear sky, hardly darker ones under a grey one. Their reflections on curved
+    # panels are a few pixels large, so that finer ones would look like dirt.
     with np.errstate(divide="ignore"):
         flat_x, flat_y = x / np.maximum(z, 0.08), y / np.maximum(z, 0.08)
     puffs = np.zeros_like(z)
@@ -263,5 +255,5 @@ def _surroundings(light: Light, side: int = 192) -> NDArray[np.float32]:
     ground = light.road_radiance * (1 - beside) + verge * beside
     depth = np.clip(-z * 5, 0, 1)[..., None]
     out = np.where((z < 0)[..., None], light.horizon + (ground - light.horizon) * depth, out)
-    # Softened, since paint is not flat; the unfolding keeps neighbours together save at the square's border.
+    # Blurred, since paint is not flat; the map keeps neighbours together except at its border.
     return np.ascontiguousarray(cv2.GaussianBlur(out.astype(np.float32), (0, 0), 1.2))

@@ -1,4 +1,4 @@
-"""Triangles to pixels: a z-buffer rasteriser and per-sample shading, compiled by Numba.
+"""Rasterisation with a z-buffer, and shading of each sample; compiled by Numba.
 
 Convention:
     Sample (row r, column c) of a grid with `ss` samples per pixel and side lies at frame px
@@ -14,14 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "darken",
-    "lay_over",
-    "shade",
-    "visible_triangles",
-]
-
 from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, PAINT
+
+__all__ = ["darken", "lay_over", "shade", "visible_triangles"]
 
 _F = NDArray[Any]
 
@@ -30,10 +25,10 @@ _F = NDArray[Any]
 def visible_triangles(
     screen: _F, triangles: _F, size_wh: tuple[int, int], origin: tuple[float, float], ss: int, cull: bool
 ) -> _F:
-    """Which triangle each sample sees.
+    """Return which triangle is visible at each sample.
 
     Args:
-        screen: (V, 3) frame px x, y and depth; depth <= 0 marks vertices that cannot be drawn.
+        screen: (V, 3) frame px x, y and depth; triangles with a vertex of depth <= 0 are skipped.
         triangles: (T, 3) vertex indices, anticlockwise as seen from outside.
         size_wh: grid size in px.
         origin: frame px of the grid's corner.
@@ -84,7 +79,7 @@ def visible_triangles(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _environment(x: float, y: float, z: float, around: _F) -> tuple[float, float, float]:
-    """Radiance that comes from a direction in the road frame."""
+    """Return the radiance that arrives from a direction in the road frame."""
     side = around.shape[0]
     scale = 1.0 / (abs(x) + abs(y) + abs(z) + 1e-9)
     u, v = x * scale, y * scale
@@ -106,7 +101,7 @@ def _curve(value: float, curve: _F, colour: int) -> float:
 def _surface(
     x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F
 ) -> tuple[float, float, float, float, float, float]:
-    """Body-frame point and unit normal of triangle t at frame px x, y, by perspective-correct weights."""
+    """Return body-frame point and unit normal of triangle t at frame px x, y, interpolated perspectively."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     ax, ay, bx, by = screen[a, 0] - x, screen[a, 1] - y, screen[b, 0] - x, screen[b, 1] - y
     cx, cy = screen[c, 0] - x, screen[c, 1] - y
@@ -127,7 +122,7 @@ def _surface(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _on_texture(px: float, py: float, pz: float, m: int, chart_maps: _F, texture: _F) -> tuple[float, float]:
-    """Where a body-frame point lies on the texture, px, kept inside it."""
+    """Return the texture px of a body-frame point, clamped to the texture."""
     u = chart_maps[m, 0, 0] * px + chart_maps[m, 0, 1] * py + chart_maps[m, 0, 2] * pz + chart_maps[m, 0, 3]
     v = chart_maps[m, 1, 0] * px + chart_maps[m, 1, 1] * py + chart_maps[m, 1, 2] * pz + chart_maps[m, 1, 3]
     return min(max(u, 0.0), texture.shape[1] - 1.001), min(max(v, 0.0), texture.shape[0] - 1.001)
@@ -135,7 +130,7 @@ def _on_texture(px: float, py: float, pz: float, m: int, chart_maps: _F, texture
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _texel(u: float, v: float, texture: _F) -> tuple[float, float, float, float, float]:
-    """Albedo and slopes at a place of the texture, between the four nearest texels."""
+    """Return albedo and slopes at a point of the texture, interpolated bilinearly."""
     u, v = max(u - 0.5, 0.0), max(v - 0.5, 0.0)
     iu, iv = int(u), int(v)
     fu, fv = u - iu, v - iv
@@ -155,7 +150,7 @@ def _texel(u: float, v: float, texture: _F) -> tuple[float, float, float, float,
 def _tilted(
     nx: float, ny: float, nz: float, along: float, down: float, m: int, chart_maps: _F
 ) -> tuple[float, float, float]:
-    """A unit normal on sheet metal that rises by `along` and `down` per metre in the drawing's two directions."""
+    """Return a unit normal tilted by slopes `along` and `down`, m per m, in the chart's two directions."""
     a0, a1, a2 = chart_maps[m, 0, 0], chart_maps[m, 0, 1], chart_maps[m, 0, 2]
     b0, b1, b2 = chart_maps[m, 1, 0], chart_maps[m, 1, 1], chart_maps[m, 1, 2]
     scale = 1.0 / (abs(a0) + abs(a1) + abs(a2) + 1e-9)
@@ -168,7 +163,7 @@ def _tilted(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[float, float, float, float]:
-    """Mirrored share, sun's gleam, its wide glow on metal flakes, and the share of sunlight that is scattered."""
+    """Return reflected share, sun highlight, its wide part on metal flakes, and share of sunlight that is scattered."""
     sharp = toward_sun > 0.8
     fifth = away * away * away * away * away
     gleam = 0.0
@@ -198,7 +193,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _sunlit(px: float, py: float, pz: float, light: _F, pose: _F, sun_map: _F, grid: _F) -> float:
-    """Share of the sun that reaches a body-frame point: what reaches the road where its shadow falls."""
+    """Return the share of sunlight at a body-frame point: that of the road where its shadow falls."""
     if sun_map.shape[0] == 1:
         return 1.0
     reach = pz / max(light[2], 0.15)
@@ -214,7 +209,7 @@ def _light_on(
     x: float, y: float, t: int, screen: _F, triangles: _F, body: _F, normals: _F, charts: _F, chart_maps: _F,
     texture: _F, paint: _F, light: _F, around: _F, pose: _F, sun_map: _F, grid: _F,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Radiance of triangle t as seen at frame px x, y; arguments as in `shade`."""
+    """Return the radiance of triangle t at frame px x, y; arguments as in `shade`."""
     px, py, pz, nx, ny, nz = _surface(x, y, t, screen, triangles, body, normals)
     u, v = _on_texture(px, py, pz, charts[t], chart_maps, texture)
     red, green, blue, along, down = _texel(u, v, texture)
@@ -276,29 +271,29 @@ def shade(
     light: _F, around: _F, pose: _F, sun_map: _F, grid: _F, exposure: float, curve: _F, origin: tuple[float, float],
     ss: int,
 ) -> _F:  # fmt: skip
-    """Colour of every pixel: one triangle per drawing is lit in each; with 9 samples a pixel, every other sample.
+    """Return the colour of every pixel: one sample per chart is shaded in each; with 9 samples, every other one.
 
     Args:
-        ids: what `visible_triangles` returned.
+        ids: from `visible_triangles`.
         screen, triangles: (V, 3) and (T, 3), as there.
         body: (V, 3) metres, vertices in the body frame (x ahead, y left, z up).
         normals: (T, 3, 3) unit normals at the corners, body frame.
-        charts: (T,) which row of `chart_maps` a triangle's texture is read through.
+        charts: (T,) uint8, which row of `chart_maps` maps a triangle to the texture.
         chart_maps: (C, 2, 4) body (x, y, z, 1) -> texture px.
         texture: (h, w, 6) uint8, `Texture.image`.
-        paint: (5,) metalness, gloss, height below which light is held back (m), unused, dirt.
+        paint: (5,) metalness, gloss, height below which ambient light is occluded (m), unused, dirt.
         light: (23,) `Light.packed`.
         around: (S, S, 3) float32, `Light.around`.
         pose: (5,) heading (+1 or -1), position x, y of the body's origin in the road frame, camera height, share of
             the light that passes the air between.
         sun_map: (h, w) uint8, `Shade.sun`; one cell where nothing stands in the sun.
         grid: (3,) `Shade.grid`.
-        exposure: factor before the camera's curve.
+        exposure: factor before the tone curve.
         curve: `Light.curve`.
         origin, ss: as there.
 
     Returns:
-        (H, W, 4) float32, BGR in 0-255 after the camera's curve, times coverage, and coverage in [0, 1].
+        (H, W, 4) float32: premultiplied BGR in 0 to 255 after the tone curve, and coverage in [0, 1].
     """
     h, w = ids.shape[0] // ss, ids.shape[1] // ss
     out = np.zeros((h, w, 4), dtype=np.float32)
@@ -341,12 +336,12 @@ def shade(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def lay_over(part: _F, layer: _F, hidden: _F) -> None:
-    """Lay a shaded layer over a part of a frame, in place.
+    """Composite a shaded layer over a part of a frame, in place.
 
     Args:
         part: (H, W, 3) uint8 BGR.
         layer: (H, W, 4) float32 as `shade` returns it.
-        hidden: (H, W) uint8, 255 where something stands before the layer; (0, 0) for nothing anywhere.
+        hidden: (H, W) uint8, 255 where something stands in front of the layer; (0, 0) for nowhere.
     """
     for r in range(part.shape[0]):
         for col in range(part.shape[1]):
@@ -363,13 +358,13 @@ def lay_over(part: _F, layer: _F, hidden: _F) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def darken(part: _F, left: _F, cover: _F, colours: _F) -> None:
-    """Multiply a part of a frame by a shadow of half its size, in place.
+    """Multiply a part of a frame by a shadow map, which is resampled to its size, in place.
 
     Args:
         part: (H, W, 3) uint8 BGR.
-        left: (h, w) uint8, share of the grey levels that is left, 255 for all; stretched over the part.
-        cover: (H, W) uint8, 255 where something stands before the shadow; (0, 0) for nothing anywhere.
-        colours: (256, 3) what is left of each colour, by what is left of the grey levels.
+        left: (h, w) uint8, share of the grey levels that the shadow leaves, 255 for all.
+        cover: (H, W) uint8, 255 where something stands in front of the shadow; (0, 0) for nowhere.
+        colours: (256, 3) float32, share of each BGR channel, by the share of the grey levels.
     """
     height, width = part.shape[0], part.shape[1]
     step_r, step_c = left.shape[0] / height, left.shape[1] / width

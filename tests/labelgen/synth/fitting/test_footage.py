@@ -36,7 +36,7 @@ def test_a_swaying_picture_is_stabilised_and_its_traffic_taken_out(tmp_path: Pat
     dx, dy = round(6 * np.sin(15 / 5)), round(4 * np.cos(15 / 7))
     expected = wide[20 + dy : 200 + dy, 30 + dx : 350 + dx].astype(float)
     inner = np.s_[20:-20, 30:-30]
-    assert np.abs(footage.empty[inner] - expected[inner]).mean() < 4
+    assert np.abs(footage.background[inner] - expected[inner]).mean() < 4
 
 
 def test_a_vehicle_that_stops_leaves_no_specks(tmp_path: Path) -> None:

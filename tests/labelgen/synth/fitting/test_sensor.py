@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from labelgen.media.video_writer import VideoWriter
-from labelgen.synth.fitting.footage import codec_of, usual_packet
+from labelgen.synth.fitting.footage import codec_of, mean_packet_bytes
 from labelgen.synth.fitting.panel_noise import fit_to_panels, panel_noise
-from labelgen.synth.fitting.sensor import block_step_of, edge_profile, fit_edges, measure_noise, quality_of
+from labelgen.synth.fitting.sensor import edge_profile, estimate_block_step, estimate_crf, fit_edges, measure_noise
 from labelgen.synth.sensor.noise import NoiseModel
 from labelgen.synth.sensor.sensor import Sensor
 
@@ -82,9 +82,9 @@ def test_the_quality_is_that_of_the_video(tmp_path: Path) -> None:
         with VideoWriter(path, 10, (160, 120), crf, preset="medium") as writer:
             for frame in frames:
                 writer.write(np.ascontiguousarray(frame))
-        size = usual_packet(path)
+        size = mean_packet_bytes(path)
         assert size is not None
-        got.append(quality_of(frames, 10, size))
+        got.append(estimate_crf(frames, 10, size))
     assert abs(got[0] - 18) <= 2
     assert abs(got[1] - 30) <= 2
 
@@ -124,8 +124,8 @@ def test_an_old_recorders_rounding_is_found_from_its_bytes(tmp_path: Path, quant
         for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="bgr24")))
         container.mux(stream.encode(None))
-    size = usual_packet(path)
+    size = mean_packet_bytes(path)
     assert size is not None
     assert codec_of(path) == "mpeg4"
     assert codec_of(tmp_path / "none.avi") == ""
-    assert block_step_of(frames, 10, size) == pytest.approx(2 * quantiser, rel=0.25)
+    assert estimate_block_step(frames, 10, size) == pytest.approx(2 * quantiser, rel=0.25)

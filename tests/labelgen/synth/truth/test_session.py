@@ -166,9 +166,7 @@ def test_bad_options_say_what_helps(arguments: list[str], says: str, tmp_path: P
 
 def test_nothing_is_replaced_unasked(root: Path) -> None:
     with pytest.raises(LabelgenError, match="--overwrite"):
-        CliRunner().invoke(
-            synth_app, ["session", "--out", str(root), *SMALL, "--size", "64x36"], catch_exceptions=False
-        )
+        run("session", "--out", str(root), *SMALL, "--size", "64x36")
 
 
 def test_an_interrupted_session_is_a_shorter_one(tmp_path: Path) -> None:
