@@ -1,4 +1,4 @@
-"""Vehicle bodies as meshes, from the proportions of `shapes`."""
+"""Meshes of vehicle bodies, from the proportions in `body_types`."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["END_M", "body_mesh", "cabin_edge", "face_edge", "outside_parts", "se
 
 _FINE = 0.01
 END_M = 0.18
-"""How far behind their middles noses and tails show the drawings of the ends, to the next of the lofts' sections."""
+"""Depth over which noses and tails show the charts FRONT and REAR, metres; a station of the loft."""
 _AROUND_CORNERS = 0.3
-"""And how much they have to face that way: the cosine."""
+"""Least cosine between a normal and the x axis for these charts."""
 
 
 def shell_end(shape: Shape) -> float:
-    """Where the lofted shell ends, metres behind the front: at the tail, or behind the cab of a lorry."""
+    """Return d, metres, where the lofted shell ends: at the tail, or behind the cab of a lorry."""
     return shape.length if shape.cargo is None else shape.rear_window[0] + 0.05
 
 
 def face_edge(shape: Shape) -> tuple[float, float]:
-    """(d, z) at the body's middle where the bonnet begins above the front's face."""
+    """Return (d, z), metres, at the centre line where the front's face meets the bonnet."""
     return 0.5 * _nose_reach(shape), shape.nose - 0.05
 
 
@@ -36,7 +36,7 @@ def _nose_reach(shape: Shape) -> float:
 
 
 def top_line(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The body's upper outline in side view, at its middle: d and z, every centimetre, rounded as sheet metal is."""
+    """Return d and z, (N,) metres each, of the body's upper outline at its centre line, every centimetre."""
     end = shell_end(shape)
     roof_middle = (shape.roof_front[0] + shape.roof_rear[0]) / 2
     roof = shape.height if shape.cargo is None else shape.roof_rear[1] + 0.05
@@ -79,12 +79,12 @@ def _half_width(shape: Shape, d: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def setback(shape: Shape, d: Any, y: Any) -> Any:
-    """How far behind the middle, metres, what lies y beside it stands: noses, screens and tails are round in plan."""
+    """Return by how much, metres, a point at y lies behind the centre line: ends and screens are round in plan."""
     return _bow(shape, d) * np.square(y)
 
 
 def _bow(shape: Shape, d: Any) -> NDArray[np.float64]:
-    """1 / metre, how round the body is in plan at d; negative towards the rear."""
+    """Return the body's curvature in plan at d, 1 / m; negative towards the rear."""
     end = shell_end(shape)
     nose, tail = shape.round_nose, 0.0 if shape.cargo is not None else shape.round_tail
     roof_middle = (shape.roof_front[0] + shape.roof_rear[0]) / 2
@@ -95,7 +95,7 @@ def _bow(shape: Shape, d: Any) -> NDArray[np.float64]:
 
 
 def cabin_edge(shape: Shape, half_width: Any, z: Any) -> Any:
-    """Half-width of the body at a height above the belt, where windows lean inwards, most below the roof's edge."""
+    """Return the half-width, metres, at a height z above the belt, where windows lean inwards."""
     up = np.maximum(z - shape.belt, 0)
     return 0.93 * half_width - shape.tumble * (up + 0.2 * up**2)
 
@@ -149,10 +149,10 @@ def _shell(shape: Shape) -> Mesh:
 
 
 def _drawings_of_ends(shape: Shape, shell: Mesh) -> Mesh:
-    """Which drawings screens, nose and tail show.
+    """Assign charts to screens, nose and tail.
 
-    Screens as steep as 45 degrees would show parts of two: each takes the one that suits it best. Nose and tail show
-    the drawings of the ends around their corners and up to the lids, so that lamps reach there in one piece.
+    A screen of about 45 degrees would show parts of two charts, so each takes one. Nose and tail show FRONT and REAR
+    around their corners and up to the lids, so that lamps are not cut.
     """
     middles = shell.vertices[shell.triangles].mean(axis=1)
     d = shape.length / 2 - middles[:, 0]
@@ -177,9 +177,9 @@ def _drawings_of_ends(shape: Shape, shell: Mesh) -> Mesh:
 
 
 def outside_parts(shape: Shape) -> list[Mesh]:
-    """What of the wing mirrors stands out from the body, on a short foot, and the aerial; as `body_mesh` lies.
+    """Return the meshes of wing mirrors and aerial in the frame of `body_mesh`.
 
-    They are drawn, but belong neither to the body's cuboid nor to its mask.
+    They are rendered, but belong neither to the body's cuboid nor to its mask.
     """
     if shape.cargo is not None or shape.kind == "bus":
         # Tall ones on arms beside the screen.
@@ -193,8 +193,8 @@ def outside_parts(shape: Shape) -> list[Mesh]:
     d = shape.cowl[0] + 0.36 * (shape.roof_front[0] - shape.cowl[0]) + 0.06
     x, half, z = shape.length / 2 - d, shape.width / 2, shape.belt + (0.10 if shape.kind == "van" else 0.045)
     thick = 0.12 if shape.kind == "van" else 0.08
-    # Across: foot, the housing's inner end, its middle, its outer end; it leans back a little. The foot is thick enough
-    # for the housing not to float beside the body in a coarse picture.
+    # Across: foot, inner end, middle and outer end of the housing, which leans back a little. In a coarse picture a
+    # thinner foot would vanish.
     across = (-0.13, -0.05, 0.0, 0.06, 0.10)
     radii = (0.05, 0.055, 0.85 * thick, thick, 0.7 * thick)
     spines = [[(x - 0.3 * max(y, 0), side * (half + y), z + 0.2 * y) for y in across] for side in (1, -1)]
@@ -207,7 +207,7 @@ def outside_parts(shape: Shape) -> list[Mesh]:
 
 
 def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
-    """What a lorry carries below its load, and the shield on its cab that leads the wind over it."""
+    """Return side guards below a lorry's load, and the wind deflector on its cab."""
     assert shape.cargo is not None
     half, middle = shape.width / 2, shape.length / 2
     gaps = zip(shape.axles[:-1], shape.axles[1:], strict=True)
@@ -230,7 +230,7 @@ def _underneath(shape: Shape, low: float, high: float) -> list[Mesh]:
 
 
 def _roof_unit(shape: Shape, place: tuple[float, float, float, float]) -> Mesh:
-    """A housing on a bus's roof, round at its edges."""
+    """Return a housing on a bus's roof, round at its edges."""
     start, long, wide, tall = place
     d = start + long * np.array([0.0, 0.03, 0.1, 0.9, 0.97, 1.0])
     foot = np.interp(d, *top_line(shape)) - 0.06
@@ -241,7 +241,7 @@ def _roof_unit(shape: Shape, place: tuple[float, float, float, float]) -> Mesh:
 
 
 def body_mesh(shape: Shape) -> Mesh:
-    """Mesh of a vehicle whose bounding cuboid stands on z = 0 around the origin."""
+    """Return the mesh of a vehicle; its bounding cuboid stands on z = 0, centred at x = y = 0."""
     half = shape.width / 2
     parts = [_shell(shape)]
     for d in shape.axles:

@@ -94,7 +94,7 @@ BODY_TYPES: dict[str, Shape] = {
               1.20, 0.04, 0.03, 0.14, 0.05, (2.70, 8.60), 0.48, 8, _BUS, 0.02),
         Shape("articulated", 15.5, 2.50, 3.95, 0.34, 1.10, (0.08, 1.75), (0.50, 3.40), (2.10, 3.60), (2.20, 1.80), 1.40,
               1.80, 0.06, 0.03, 0.12, 0.0, (1.40, 4.70, 11.9, 13.2), 0.50, 1, _TRUCK, 0.01, cargo=(2.60, 1.10, 3.95)),
-        # Of a motorcycle only size, axles and wheels count; `motorcycle` makes the rest.
+        # Of a motorcycle only size, axles and wheels count; the module `motorcycle` adds the rest.
         Shape("motorcycle", 2.15, 0.76, 1.66, 0.15, 0.80, (0.5, 0.9), (0.8, 1.5), (1.2, 1.5), (1.6, 0.9), 0.8,
               0.8, 0.0, 0.0, 0.0, 0.0, (0.32, 1.80), 0.32, 1, _CYCLE, 0.05),
     )
@@ -105,15 +105,15 @@ def _stretched(point: tuple[float, float], along: float, up: float) -> tuple[flo
     return point[0] * along, point[1] * up
 
 
-# Bounds of what varies evenly about a type's form, as factors: the nose's height, how far windows lean inwards, how
-# round the corners are in plan, how round the ends, the wheels.
+# Ranges of uniformly sampled factors: height of the nose, inward lean of windows, roundness of the corners and of the
+# ends in plan, wheel radius.
 _NOSES, _TUMBLES, _CORNERS, _ROUNDS, _WHEELS = (0.93, 1.07), (0.95, 1.4), (0.9, 1.6), (0.75, 1.35), (0.96, 1.05)
-# And in metres, of cars: where the windscreen stands, how steep it is, where the rear window ends, how a roof drops.
+# Ranges of uniformly sampled offsets of cars, metres: windscreen, its rake, end of the rear window, drop of the roof.
 _SCREENS, _RAKES, _TAILS, _DROPS = (-0.12, 0.14), (-0.10, 0.10), (-0.10, 0.10), (-0.04, 0.04)
 
 
 def mean_shape(kind: str) -> Shape:
-    """The mean of a body type's vehicles, which lean and round more than its plainest form."""
+    """Return the mean shape of a body type's vehicles: the sampled factors are not centred at 1."""
     base = BODY_TYPES[kind]
     bounds = (_NOSES, _TUMBLES, _CORNERS, _ROUNDS, _WHEELS)
     nose, tumble, corner, rounded, wheel = (sum(pair) / 2 for pair in bounds)
@@ -129,7 +129,7 @@ def mean_shape(kind: str) -> Shape:
 
 
 def sample_shape(kind: str, rng: np.random.Generator) -> Shape:
-    """One vehicle of a body type, with proportions that vary as real models do."""
+    """Sample the shape of one vehicle of a body type; proportions vary as between real models."""
     base = BODY_TYPES[kind]
     along, wide, up = rng.normal(1, [0.035, 0.018, 0.018]).clip([0.92, 0.96, 0.96], [1.08, 1.04, 1.04])
     if kind == "bus":

@@ -1,6 +1,6 @@
-"""Designs of car fronts: which lamps, grilles and bumpers go together, as a maker's designers would have it.
+"""Designs of car fronts: combinations of lamps, grilles and bumpers.
 
-Places are (y, t): y in shares of the half-width from the middle outwards, t in shares of the face's height, from the
+Points are (y, t): y in shares of the half-width from the middle outwards, t in shares of the face's height, from the
 foot of the bumper to the bonnet's edge. Each describes one half; the other mirrors it. None is of a particular make.
 """
 

@@ -1,4 +1,4 @@
-"""What companies write on their lorries and vans."""
+"""Lettering of companies on lorries and vans."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from labelgen.synth.vehicle.texture import Colour, Texture
 
 __all__ = ["TRADES", "company_name", "ink", "letter_cargo", "letter_van", "telephone"]
 
-# Both sides of a vehicle show one drawing, on the right mirrored: these read either way.
+# Both sides of a vehicle show one drawing, mirrored on the right: these letters and digits are symmetric.
 _DIGITS = "018"
 _SYLLABLES = ("MA", "TO", "VI", "HA", "XI", "YO", "TU", "WA", "AM", "OT", "IVA", "OHM")
 _ROOM_M = 1.2
-"""Of a van's sides without windows, below which nothing is written on them."""
+"""Length of a van's side without windows below which it carries no lettering, metres."""
 TRADES = ("TRANSPORT", "CARGO", "EXPRESS", "LOGISTIK", "FREIGHT", "FRESH", "SPEDITION", "MOVERS", "PAPIER", "BAU")
 
 
 def company_name(rng: np.random.Generator) -> str:
-    """What a company might be called."""
+    """Sample the name of a company."""
     return "".join(rng.choice(_SYLLABLES, int(rng.integers(2, 4))))
 
 
 def telephone(rng: np.random.Generator, digits: str = "0123456789") -> str:
-    """A telephone number of some digits."""
+    """Sample a telephone number from the given digits."""
     return " ".join("".join(rng.choice(list(digits), 3)) for _ in range(3))
 
 
 def ink(rng: np.random.Generator) -> Colour:
-    """Letters and bands: some colour, faded by sun and dust."""
+    """Sample a faded colour for letters and bands."""
     bright = rng.uniform(0.01, 0.6, 3) ** 1.3
     red, green, blue = (0.4 * bright + 0.6 * bright.mean()).tolist()
     return red, green, blue
 
 
 def letter_cargo(texture: Texture, shape: Shape, start: float, rng: np.random.Generator) -> None:
-    """A company's name and number, on the sides and the back."""
+    """Paint a company's name and number on the sides and the back of a cargo body that begins at d = `start`."""
     assert shape.cargo is not None
     if rng.random() < 0.1:
         return
@@ -63,13 +63,13 @@ def letter_cargo(texture: Texture, shape: Shape, start: float, rng: np.random.Ge
 
 
 def letter_van(texture: Texture, shape: Shape, first: float, rng: np.random.Generator) -> None:
-    """A craftsman's name and number on a van's doors, and where there is room on its sides.
+    """Paint a name and a number on a van's doors, and on its sides where there is room.
 
     Args:
-        texture: painted on.
+        texture: of the van.
         shape: of the van.
-        first: metres behind its front, where its side windows end.
-        rng: decides.
+        first: d, metres, where its side windows end.
+        rng: gives the texts and their places.
     """
     colour, name = ink(rng), company_name(rng)
     size = min(rng.uniform(0.2, 0.4), 0.7 / len(name))

@@ -21,7 +21,7 @@ _CAP_STEPS = 8
 
 
 class Chart(IntEnum):
-    """Which drawing of the texture a triangle shows."""
+    """Drawings of the texture; each triangle shows one."""
 
     SIDE = 0
     TOP = 1
@@ -41,7 +41,7 @@ class Mesh:
         triangles: (T, 3) int32.
         normals: (T, 3, 3) float32 unit normals at the corners.
         charts: (T,) uint8, `Chart`.
-        extra: how many of the last triangles are drawn without belonging to the body, as wing mirrors that stand out.
+        extra: number of last triangles that are rendered but are no part of the body's mask and size: wing mirrors.
     """
 
     vertices: NDArray[np.float64]
@@ -52,12 +52,12 @@ class Mesh:
 
     @property
     def body(self) -> NDArray[np.int32]:
-        """(B, 3) the triangles of the body alone."""
+        """(B, 3) int32, the triangles of the body."""
         return self.triangles[: len(self.triangles) - self.extra]
 
     @cached_property
     def body_vertices(self) -> NDArray[np.int64]:
-        """(N,) numbers of the vertices of `body`."""
+        """(N,) indices of the vertices of `body`."""
         return np.unique(self.body)
 
 
@@ -65,7 +65,7 @@ class Mesh:
 def _corner_normals(
     unit: NDArray[Any], area_normals: NDArray[Any], order: NDArray[Any], starts: NDArray[Any], limit: float
 ) -> NDArray[Any]:
-    """Per corner the mean normal of the faces at its vertex that turn little from its own, weighted by area."""
+    """Return for each corner the area-weighted mean normal of the faces at its vertex that turn little from its own."""
     out = np.zeros((len(order), 3))
     for group in range(len(starts) - 1):
         for i in range(starts[group], starts[group + 1]):
@@ -80,7 +80,7 @@ def _corner_normals(
 
 
 def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArray[Any] | int, crease: float) -> Mesh:
-    """Mesh whose corner normals average the faces around a vertex that turn less than `crease` degrees."""
+    """Return a mesh whose corner normals average the faces at a vertex that turn less than `crease` degrees."""
     vertices = np.asarray(vertices, dtype=np.float64)
     triangles = np.asarray(triangles, dtype=np.int32)
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
@@ -90,7 +90,7 @@ def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArr
     triangles, area_normals, areas = triangles[keep], area_normals[keep], areas[keep]
     kept_charts = np.broadcast_to(np.asarray(charts, dtype=np.uint8), len(keep))[keep].copy()
     unit = area_normals / areas[:, None]
-    # Vertices at one place count as one, so that seams of a loft stay smooth.
+    # Coincident vertices count as one, so that seams of a loft stay smooth.
     _, merged = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
     corner_vertex = merged.ravel()[triangles].ravel()
     order = np.argsort(corner_vertex, kind="stable")
@@ -100,7 +100,7 @@ def _with_normals(vertices: NDArray[Any], triangles: NDArray[Any], charts: NDArr
 
 
 def _charts_by_normal(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.uint8]:
-    """Which drawing a face shows."""
+    """Return (T,) the chart that each face shows, by its normal."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     weight = np.stack([np.abs(normal[:, 1]), normal[:, 2], normal[:, 0], -normal[:, 0]], axis=1)
@@ -113,14 +113,14 @@ def loft(
     x: Sequence[float] | NDArray[Any], sections: NDArray[Any], *, bow: Sequence[float] | NDArray[Any] | None = None,
     crease: float = 50.0,
 ) -> Mesh:  # fmt: skip
-    """Shell through cross-sections, closed at both ends and mirrored to the other side.
+    """Return a closed shell through cross-sections, which are mirrored to the other side.
 
     Args:
         x: (S,) metres, falling: from the front to the rear.
-        sections: (S, K, 2) metres, y >= 0 and z of the left half, from the middle of the floor over the side to the
-            middle of the roof.
-        bow: (S,) 1 / metre; a section's points lie `bow * y**2` behind its middle, as noses and screens are round in
-            plan. 0 when None.
+        sections: (S, K, 2) metres, y >= 0 and z of the left half, from the centre of the floor over the side to the
+            centre of the roof.
+        bow: (S,) 1 / m; a section's points lie `bow * y**2` behind its centre, as noses and screens are round in
+            plan; 0 when None.
         crease: degrees; edges that turn more stay sharp.
     """
     half = np.asarray(sections, dtype=np.float64)
@@ -139,7 +139,7 @@ def loft(
     a, b = i * around + j, i * around + (j + 1) % around
     c, d = a + around, b + around
     triangles = [np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)[:, ::-1]]
-    # End caps: strips across from left to right, since the sections are not convex for a fan.
+    # End caps are strips from left to right, since sections need not be convex as a fan requires.
     across = np.linspace(1, -1, _CAP_STEPS + 1)
     rows = half.shape[1]
     k, m = np.meshgrid(np.arange(rows - 1), np.arange(_CAP_STEPS), indexing="ij")
@@ -156,7 +156,7 @@ def loft(
 
 
 def box_mesh(low: Sequence[float], high: Sequence[float], *, chart: Chart | None = None) -> Mesh:
-    """Axis-aligned box between two corners."""
+    """Return an axis-aligned box between two corners (x, y, z), metres; charts by the faces' normals when None."""
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [1, 5, 7, 3], [0, 2, 6, 4]])
     triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
@@ -168,14 +168,14 @@ def tube_mesh(
     spine: Sequence[Sequence[float]], radii: Sequence[float], *, chart: Chart | None = None, sides: int = 10,
     flat: float = 1.0,
 ) -> Mesh:  # fmt: skip
-    """Round body along a polyline of three or more points, closed at its ends: limbs, helmets, tanks.
+    """Return a closed round body along a polyline of three or more points: limbs, helmets, tanks.
 
     Args:
         spine: (S, 3) metres.
         radii: (S,) metres.
+        chart: drawing that it shows; by the faces' normals when None.
         sides: corners of each ring.
-        flat: how tall it is, as a share of how thick.
-        chart: which drawing it shows; by the faces' directions when None.
+        flat: ratio of its height to its width.
     """
     points = np.asarray(spine, dtype=np.float64)
     along = np.gradient(points, axis=0)
@@ -204,7 +204,16 @@ def tube_mesh(
 
 
 def wheel_mesh(x: float, y_out: float, radius: float, width: float, side: int, *, steps: int = 20) -> Mesh:
-    """Wheel standing on the road at `x`; `side` is +1 on the left, whose outer face lies at y = y_out."""
+    """Return a wheel that stands on the road.
+
+    Args:
+        x: metres, of its axle.
+        y_out: metres, distance of its outer face from the vehicle's middle.
+        radius: metres.
+        width: metres.
+        side: +1 on the left, -1 on the right.
+        steps: corners of its rim.
+    """
     angle = np.linspace(0, 2 * np.pi, steps, endpoint=False)
     ring = np.stack([x + radius * np.cos(angle), radius + radius * np.sin(angle)], axis=1)
     dish = np.stack([x + 0.9 * radius * np.cos(angle), radius + 0.9 * radius * np.sin(angle)], axis=1)
@@ -226,12 +235,12 @@ def wheel_mesh(x: float, y_out: float, radius: float, width: float, side: int, *
         triangles = triangles[:, ::-1]
     charts = np.full(len(triangles), Chart.WHEEL, dtype=np.uint8)
     charts[: 2 * steps] = Chart.DARK
-    # The sense of rotation is that of a circle in x and z seen from the left: clockwise.
+    # A circle in x and z runs clockwise when it is seen from the left.
     return _with_normals(vertices, triangles[:, ::-1], charts, 50.0)
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:
-    """All meshes as one."""
+    """Return all meshes as one; `extra` is not kept."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     return Mesh(
         np.concatenate([m.vertices for m in meshes]),

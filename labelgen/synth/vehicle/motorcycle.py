@@ -1,4 +1,4 @@
-"""A motorcycle and who rides it."""
+"""Mesh and texture of a motorcycle with its rider."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DARK: Colour = (0.012, 0.012, 0.013)
 
 
 def motorcycle_mesh(shape: Shape) -> Mesh:
-    """Mesh around the middle of the floor of its bounding cuboid; lengths follow the shape's."""
+    """Return a mesh whose bounding cuboid stands on z = 0, centred at x = y = 0; lengths follow the shape's."""
     k, w, h = shape.length / 2.15, shape.width / 0.76, shape.height / 1.66
     front, rear = shape.length / 2 - shape.axles[0], shape.length / 2 - shape.axles[1]
     parts = [wheel_mesh(x, 0.06, shape.wheel, 0.12, side) for x in (front, rear) for side in (1, -1)]
@@ -47,7 +47,7 @@ def motorcycle_mesh(shape: Shape) -> Mesh:
 
 
 def _clothes(rng: np.random.Generator) -> Colour:
-    """Mostly black and grey, some navy, rarely another colour, and then a muted one."""
+    """Sample the colour of clothes: mostly black and grey, some navy, rarely another muted colour."""
     level, kind = float(np.exp(rng.uniform(np.log(0.010), np.log(0.09)))), rng.random()
     if kind < 0.72:
         return level, level, level * 1.05
@@ -66,7 +66,7 @@ def _helmet(rng: np.random.Generator) -> Colour:
 
 
 def draw_motorcycle(texture: Texture, shape: Shape, paint: Colour, rng: np.random.Generator, *, lamps: bool) -> None:
-    """Paint bike, rider, lamps and plate on an empty texture."""
+    """Paint motorcycle, rider, lamps and plate on an empty texture; lamps are lit when `lamps`."""
     jacket, helmet = _clothes(rng), _helmet(rng)
     legs: Colour = ((0.012, 0.012, 0.014), (0.03, 0.045, 0.10), (0.10, 0.09, 0.07))[int(rng.integers(3))]
     h = shape.height / 1.66

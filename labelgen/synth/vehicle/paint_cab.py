@@ -1,4 +1,4 @@
-"""Fronts of lorries and buses: tall screens over flat panels."""
+"""Paint fronts of lorries and buses: tall screens over flat panels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["draw_bus_front", "draw_cab_front"]
 def draw_cab_front(
     texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool
 ) -> None:
-    """A cab over its engine: bumper with lamps, grille panel, steps and air guides at the corners, screen and visor."""
+    """Paint the front of a cab over its engine: bumper, lamps, grille, steps, air guides, screen and visor."""
     half, cowl = shape.width / 2, shape.cowl[1]
     bumper = rng.uniform(0.78, 0.90)
     tone = paint if rng.random() < 0.55 else dim((0.10, 0.10, 0.103), rng.uniform(0.4, 1.6))
@@ -70,7 +70,7 @@ def draw_cab_front(
 def draw_bus_front(
     texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool
 ) -> None:
-    """A bus: a screen nearly from edge to edge, lamps and plate in a low bumper."""
+    """Paint the front of a bus: a wide screen, lamps and plate in a low bumper."""
     half, bumper = shape.width / 2, rng.uniform(0.56, 0.66)
     texture.rectangle(Chart.FRONT, (-half, 0), (half, shape.clearance + 0.06), TRIM, MATTE)
     texture.emboss(Chart.FRONT, [(-half, 0), (half, 0), (half, bumper), (-half, bumper)], 0.03, soft=True)
@@ -106,7 +106,7 @@ def _screen(
 
 
 def _trim(texture: Texture, inside: OnScreen, rng: np.random.Generator) -> None:
-    """Curtains at the sides, a visor folded down, cards and pennants along the foot."""
+    """Paint curtains, a visor folded down, cards and pennants behind the screen."""
     level = rng.uniform(0.02, 0.16)
     cloth: Colour = (level, level * rng.uniform(0.6, 1.0), level * rng.uniform(0.5, 1.0))
     for side in (-1, 1):
@@ -126,7 +126,7 @@ def _trim(texture: Texture, inside: OnScreen, rng: np.random.Generator) -> None:
 
 
 def _lamp(texture: Texture, points: list[tuple[float, float]], half: float, side: int, lamps: bool) -> None:
-    """A head lamp, corners in shares of the half-width and metres above the road."""
+    """Paint a head lamp; corners are (share of the half-width, metres above the road)."""
     ring = np.array(mirrored([(y * half, z) for y, z in points], side))
     smooth, middle = rounded(ring, 0.1), ring.mean(axis=0)
     texture.polygon(Chart.FRONT, smooth, TRIM, LAMP)

@@ -1,4 +1,4 @@
-"""What lorries carry and how buses are panelled."""
+"""Paint cargo bodies of lorries, and sides, roofs and rears of buses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STEEL: Colour = (0.26, 0.26, 0.27)
 def draw_cargo(
     texture: Texture, shape: Shape, colour: Colour, style: Style, rng: np.random.Generator, *, lamps: bool
 ) -> None:
-    """A box body or curtain-sided one: panels or curtains, lettering, doors, lamps, what hangs below."""
+    """Paint a cargo body: panels or curtains, lettering, doors, lamps, side guards."""
     assert shape.cargo is not None
     start, low, high = shape.cargo
     half, length = shape.width / 2, shape.length
@@ -79,7 +79,7 @@ def _weather_walls(texture: Texture, worn: float, rng: np.random.Generator) -> N
 
 
 def _stains(texture: Texture, ends: tuple[float, float], half: float, rng: np.random.Generator) -> None:
-    """What rain and leaves leave on a roof: an even veil, blots, and joints between its sheets."""
+    """Paint stains of rain and leaves on a roof, and joints between its sheets."""
     start, end = ends
     sheet = [(start, -half), (end, -half), (end, half), (start, half)]
     veil = rng.uniform(0.1, 0.45)
@@ -96,7 +96,7 @@ def _stains(texture: Texture, ends: tuple[float, float], half: float, rng: np.ra
 
 
 def _grime(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
-    """Spray from the wheels, streaks below the roof, panels that are not quite flat."""
+    """Paint spray from the wheels and streaks below the roof, and bend panels a little."""
     assert shape.cargo is not None
     start, low, high = shape.cargo
     half, length = shape.width / 2, shape.length
@@ -132,7 +132,7 @@ _GRIME: Colour = (0.11, 0.105, 0.095)
 
 
 def draw_bus(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> None:
-    """A bus's sides and roof, and the sign above its windscreen."""
+    """Paint a bus's sides and roof, and the sign above its windscreen."""
     foot = shape.clearance
     grey = float(rng.uniform(0.05, 0.2))
     skirt = dim(paint, rng.uniform(0.45, 0.8)) if rng.random() < 0.55 else (grey, grey, 1.03 * grey)
@@ -174,13 +174,13 @@ def draw_bus(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: n
 
 
 def _faded_ink(paint: Colour, rng: np.random.Generator) -> Colour:
-    """A colour for bands and letters that is not far from a bus's own."""
+    """Sample a colour for bands and letters that is close to a bus's own."""
     red, green, blue = (0.35 * np.array(ink(rng)) + rng.uniform(0.25, 0.6) * np.array(paint)).tolist()
     return red, green, blue
 
 
 def _bus_glazing(texture: Texture, shape: Shape, paint: Colour, rng: np.random.Generator) -> None:
-    """A dark band of glass along the side: pillars, opening top lights, seats behind, sky on its upper part."""
+    """Paint a bus's side windows: pillars, opening top lights, seats behind, reflected sky."""
     low, high, end = shape.belt - 0.02, shape.height - 0.42, shape.length - rng.uniform(0.3, 1.0)
     texture.rectangle(Chart.SIDE, (0.12, low), (end, high), _RUBBER, GLASS)
     wide, pillar = rng.uniform(1.15, 1.7), rng.uniform(0.06, 0.13)
@@ -207,7 +207,7 @@ def _bus_glazing(texture: Texture, shape: Shape, paint: Colour, rng: np.random.G
                 (at - 0.14, low + 0.32),
             ]
             texture.polygon(Chart.SIDE, shoulders, (shade, 0.9 * shade, shade), GLASS)
-        # Each pane mirrors another part of what is beside the road.
+        # Each pane reflects another part of the roadside.
         level = rng.uniform(0.06, 0.3)
         texture.fade(Chart.SIDE, ring, (0.85 * level, level, level), (rng.uniform(0.1, 0.6), rng.uniform(0.0, 0.15)))
         texture.rectangle(Chart.SIDE, (right, low + 0.02), (right + pillar, high - 0.02), post, PAINT)
@@ -218,7 +218,7 @@ def _bus_glazing(texture: Texture, shape: Shape, paint: Colour, rng: np.random.G
 
 
 def _bus_roof(texture: Texture, shape: Shape, paint: Colour, rng: np.random.Generator) -> None:
-    """Dust, panels, an air conditioner's housing and hatches, which part from the roof by shading alone."""
+    """Paint a bus's roof: dust, panels, air conditioner and hatches."""
     half, length = shape.width / 2, shape.length
     pale = float(rng.uniform(0.30, 0.5))
     tone: Colour = dim(paint, 0.9) if rng.random() < 0.5 else (pale, pale, 0.99 * pale)
@@ -251,7 +251,7 @@ def _bus_roof(texture: Texture, shape: Shape, paint: Colour, rng: np.random.Gene
 
 
 def _sign(texture: Texture, chart: Chart, y: float, z: float, wide: float, rng: np.random.Generator) -> None:
-    """The line's number and where it goes: mostly off, and dim where it is on."""
+    """Paint the sign with the line's number and destination, mostly off, and dim where it is on."""
     texture.rectangle(chart, (y - wide, z), (y + wide, z + 0.20), (0.012, 0.012, 0.013), GLASS)
     lit = rng.random() < 0.3
     tone: Colour = dim((0.22, 0.125, 0.035), rng.uniform(0.6, 1.2)) if lit else (0.035, 0.033, 0.028)
@@ -262,7 +262,7 @@ def _sign(texture: Texture, chart: Chart, y: float, z: float, wide: float, rng: 
 
 
 def _advertisement(texture: Texture, place: tuple[float, float, float], rng: np.random.Generator) -> None:
-    """A poster on a bus's back. `place`: half its width, its foot and its top, metres."""
+    """Paint a poster on a bus's back; `place` is its half width, foot and top, metres."""
     half, low, high = place
     if high - low < 0.3:
         return
@@ -283,7 +283,7 @@ def _advertisement(texture: Texture, place: tuple[float, float, float], rng: np.
 def draw_bus_rear(
     texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, *, lamps: bool
 ) -> None:
-    """A bus from behind: window, sign, engine cover, stacked lamps, bumper and plate."""
+    """Paint a bus's rear: window, sign, engine cover, stacked lamps, bumper and plate."""
     half, high, braking = shape.width / 2, shape.height, bool(rng.random() < 0.1)
     bumper = shape.clearance + rng.uniform(0.28, 0.4)
     if rng.random() < 0.5:  # a lower part in a tone of its own

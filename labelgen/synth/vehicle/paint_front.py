@@ -1,4 +1,4 @@
-"""Fronts of cars and vans, drawn after `front_designs`: screens, lamps, grilles, intakes, bumpers."""
+"""Paint fronts of cars and vans from `front_designs`: screens, lamps, grilles, intakes, bumpers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = ["draw_front"]
 
 _REFLECTOR: Colour = (0.55, 0.56, 0.57)
 _GAP: Colour = (0.012, 0.012, 0.013)
-"""The dark line between a lamp and the paint."""
+"""Colour of the gap between a lamp and the paint."""
 _PALE = 0.3
 """Mean albedo from which paint counts as pale."""
 Points = Sequence[tuple[float, float]]
@@ -43,14 +43,14 @@ Points = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True)
 class _Face:
-    """Where things lie on a front: half its width, its foot and its upper edge, metres above the road."""
+    """Coordinates on a front: half its width, and its foot and upper edge, metres above the road."""
 
     half: float
     foot: float
     top: float
 
     def at(self, points: Points, side: int = 1) -> NDArray[np.float64]:
-        """Points in shares of the half-width and of the face's height, as a drawing's."""
+        """Return (N, 2) metres of points in shares of the half-width and of the face's height."""
         return np.array(mirrored([(y * self.half, self.z(t)) for y, t in points], side))
 
     def z(self, share: float) -> float:
@@ -60,7 +60,7 @@ class _Face:
 def draw_front(
     texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool
 ) -> None:
-    """Screen, bonnet edge, lamps, grille, bumper and plate."""
+    """Paint screen, bonnet edge, lamps, grille, bumper and plate."""
     half, design = shape.width / 2, style.front
     face = _Face(half * rng.uniform(0.97, 1.01), shape.clearance + 0.08, face_edge(shape)[1] + rng.uniform(-0.01, 0.02))
     sill = max(shape.clearance + SILL + style.cladding, face.z(design.lip))
@@ -84,7 +84,7 @@ def draw_front(
 
 
 def _sheet_metal(texture: Texture, face: _Face, rng: np.random.Generator) -> None:
-    """Round the bumper and what stands above it from top to bottom; a ledge between, hollows at its corners."""
+    """Curve the bumper and the panel above it, with a ledge between them."""
     ledge = rng.uniform(0.5, 0.62)
     bumper = face.at([(-1, 0), (1, 0), (1, ledge), (-1, ledge)])
     texture.bow(Chart.FRONT, bumper, (0.0, rng.uniform(2.0, 3.6)), (0.0, 0.05))
@@ -110,8 +110,8 @@ def _windscreen(texture: Texture, shape: Shape, style: Style, rng: np.random.Gen
 
 
 def _mouths(texture: Texture, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
-    """Grille, intakes, the bumper's corners, what is bright on them, and the badge."""
-    # Light comes into the openings, and bars stand in them that hardly part from what lies behind.
+    """Paint grille, intakes, the bumper's corners, chrome and the badge."""
+    # Some light enters the openings; their bars differ little from what lies behind.
     hollow = rng.uniform(0.012, 0.034)
     dark: Colour = (hollow, hollow, 1.04 * hollow)
     bright = dim(CHROME_TONE, rng.uniform(0.45, 1.1))
@@ -153,14 +153,14 @@ def _opening(
             texture.line(Chart.FRONT, [(y, low + 0.02), (y, high - 0.02)], bars, MATTE)
     if opening.rim:
         texture.line(Chart.FRONT, closed, rim, LAMP, opening.rim)
-    # The frame's upper edge keeps the light away.
+    # The frame's upper edge shades the opening.
     texture.shadow(Chart.FRONT, [(left + inset, high - 0.02), (right - inset, high - 0.02)], 0.5, 0.04)
 
 
 def _corners(
     texture: Texture, face: _Face, design: FrontDesign, dark: Colour, bright: Colour, rng: np.random.Generator
 ) -> bool:
-    """The bumper's corners: dark hollows, some with a bright frame; returns whether a strip stands for fog lamps."""
+    """Paint dark hollows at the bumper's corners; return whether a light strip replaces the fog lamps."""
     kind = int(rng.choice(3, p=[0.6, 0.25, 0.15]))  # plain; with a bright frame; with a strip
     for side in (-1, 1):
         ring = rounded(face.at(design.hollow, side), 0.1)
@@ -207,8 +207,8 @@ def _head_lamps(
     rng: np.random.Generator,
     lamps: bool,
 ) -> None:
-    """Behind clear glass: a housing, black or silver, with bowls, strips and indicator; a dark gap around."""
-    # On pale cars silver ones would hardly show: theirs are darker.
+    """Paint head lamps: a black or silver housing with reflectors, strips and indicator, and a gap around."""
+    # On pale cars silver housings would hardly show, so they are darker.
     pale = paint_level > _PALE
     black = rng.random() < (0.4 + 0.6 * design.dark if pale else design.dark)
     level = rng.uniform(0.012, 0.04) if black else rng.uniform(0.08, 0.22) if pale else rng.uniform(0.16, 0.42)
@@ -244,7 +244,7 @@ def _head_lamps(
 
 
 def _wing_part(texture: Texture, shape: Shape, face: _Face, side: int, design: FrontDesign, housing: Colour) -> None:
-    """What of a head lamp lies on the wing, seen from above and from the side."""
+    """Paint the part of a head lamp that lies on the wing, on top and side."""
     inner = min(y for y, t in design.lamp if t > 0.9)
     ys = np.array([0.5 * inner + 0.5, 0.99, 0.97, 0.90]) * face.half
     back = np.array([-0.01, -0.02, 0.6 * design.sweep, 0.35 * design.sweep])

@@ -1,4 +1,4 @@
-"""What shows through a wind or rear screen: shelves, seats, people, and the light of the windows beyond."""
+"""Paint what is visible through a windscreen or rear window: dashboard, seats, people, light of other windows."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from labelgen.synth.vehicle.texture import Colour, Texture, dim
 __all__ = ["behind_rear_screen", "behind_windscreen", "on_screen"]
 
 _DRIVER = 0.46
-"""Where the driver sits, share of the screen's half-width: at the left, as most of the world drives."""
+"""Position of the driver, as a share of the screen's half-width, on the left."""
 
 OnScreen = Callable[[Any], NDArray[np.float64]]
 
 
 def on_screen(foot: Any, head: Any) -> OnScreen:
-    """Turns (across, up) into a drawing's points.
+    """Return the map from coordinates on a screen to a drawing's points.
 
     Args:
         foot, head: (N, 2) points of the screen's lower and upper edge, from across = -1 to +1.
 
     Returns:
-        Function of (M, 2): -1 to 1 across, 0 to 1 from the foot to the head.
+        Function of (M, 2) (across, up): -1 to 1 across, 0 to 1 from the foot to the head; it returns (M, 2) metres.
     """
     low, high = np.asarray(foot, dtype=np.float64), np.asarray(head, dtype=np.float64)
     across = np.linspace(-1, 1, len(low))
@@ -41,7 +41,7 @@ def on_screen(foot: Any, head: Any) -> OnScreen:
 
 
 def _blob(across: float, up: float, wide: float, tall: float, power: float = 2.5) -> NDArray[np.float64]:
-    """A rounded box."""
+    """Return a rounded box, a superellipse of 20 points (20, 2)."""
     angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     c, s = np.cos(angle), np.sin(angle)
     ring = np.stack([np.sign(c) * np.abs(c) ** (2 / power), np.sign(s) * np.abs(s) ** (2 / power)], axis=1)
@@ -54,7 +54,7 @@ def _grey(rng: np.random.Generator, low: float, high: float, tint: float = 1.0) 
 
 
 def _light_beyond(texture: Texture, chart: Chart, placed: OnScreen, level: float, heights: tuple[float, float]) -> None:
-    """Windows at the cabin's far end, between its pillars, and those of the doors at its sides."""
+    """Paint the light of the windows at the cabin's far end and in its doors."""
     tint: Colour = (0.82 * level, level, 0.94 * level)
     low, high = heights
     texture.polygon(chart, placed([(-0.56, low), (0.56, low), (0.5, high), (-0.5, high)]), tint, GLASS)
@@ -64,7 +64,7 @@ def _light_beyond(texture: Texture, chart: Chart, placed: OnScreen, level: float
 
 
 def _mirrored_patches(texture: Texture, chart: Chart, placed: OnScreen, rng: np.random.Generator) -> None:
-    """Gaps of sky between what the glass mirrors of the roadside, softly: several faint layers of each."""
+    """Paint soft reflections of sky on the glass, each in several faint layers."""
     for _ in range(int(rng.integers(2, 7))):
         at, up, level = rng.uniform(-0.9, 0.9), rng.uniform(0.1, 0.95), rng.uniform(0.02, 0.11)
         wide, tall = rng.uniform(0.08, 0.35), rng.uniform(0.06, 0.25)
@@ -76,15 +76,15 @@ def _mirrored_patches(texture: Texture, chart: Chart, placed: OnScreen, rng: np.
 def behind_windscreen(
     texture: Texture, chart: Chart, placed: OnScreen, glass: Colour, clear: float, rng: np.random.Generator
 ) -> None:
-    """Dashboard, seats, driver and whoever sits beside, the rear window's light, mirror and shaded upper edge.
+    """Paint dashboard, seats, driver, passenger, rear-view mirror and visors behind a windscreen.
 
     Args:
-        texture: painted on.
+        texture: of the vehicle.
         chart: TOP or FRONT.
-        placed: of `on_screen`.
-        glass: albedo of the dark behind it.
-        clear: 0 to 1, how much light comes in through the windows beyond.
-        rng: decides who and what is there.
+        placed: from `on_screen`.
+        glass: albedo of the dark behind the glass.
+        clear: 0 to 1, how much light enters through the windows beyond.
+        rng: gives people and things.
     """
     shelf = rng.uniform(0.14, 0.24)
     _light_beyond(texture, chart, placed, glass[1] + 0.13 * clear, (rng.uniform(0.50, 0.58), rng.uniform(0.76, 0.86)))
@@ -100,7 +100,7 @@ def behind_windscreen(
     top = [(1, shelf), (hood + 0.26, shelf), (hood + 0.14, shelf + 0.07), (hood - 0.14, shelf + 0.07)]
     ring = [(-1, 0), (1, 0), *top, (hood - 0.26, shelf), (-1, shelf)]
     texture.polygon(chart, placed(ring), tone, GLASS)
-    # What lies on it is mirrored in the glass, its front edge dark.
+    # The glass reflects what lies on the dashboard.
     texture.polygon(chart, placed([(-1, 0), (1, 0), (1, 0.5 * shelf), (-1, 0.5 * shelf)]), dim(tone, 1.5), GLASS)
     angle = np.linspace(0.4, np.pi - 0.4, 8)
     wheel = np.stack([_DRIVER + 0.16 * np.cos(angle), shelf - 0.02 + 0.16 * np.sin(angle)], axis=1)
@@ -128,7 +128,7 @@ def _person(texture: Texture, chart: Chart, placed: OnScreen, at: float, rng: np
 def behind_rear_screen(
     texture: Texture, chart: Chart, placed: OnScreen, glass: Colour, clear: float, rng: np.random.Generator
 ) -> None:
-    """Parcel shelf, head rests, the windscreen's light far ahead; arguments as for `behind_windscreen`."""
+    """Paint parcel shelf, head rests and the windscreen's light; arguments as for `behind_windscreen`."""
     low = rng.uniform(0.36, 0.48)
     kind = int(rng.choice(3, p=[0.45, 0.47, 0.08]))  # film; clear; a blind or curtain
     clear *= (0.15, 1.0, 0.4)[kind]

@@ -1,4 +1,4 @@
-"""Tails of cars and vans: rear windows, lids and doors, bumpers; lamps after `tail_designs`."""
+"""Paint rears of cars and vans: windows, lids and doors, bumpers; lamps from `tail_lamp_designs`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["draw_rear"]
 def draw_rear(
     texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator, lamps: bool
 ) -> None:
-    """Rear window or doors, lid, lamps, bumper and plate."""
+    """Paint rear window or doors, lid, lamps, bumper and plate."""
     half, seam = shape.width / 2, dim(paint, SEAM)
     braking = bool(rng.random() < 0.12)
     foot = shape.clearance + 0.09 + style.cladding
@@ -59,7 +59,7 @@ def draw_rear(
 def _bumper(
     texture: Texture, shape: Shape, paint: Colour, style: Style, heights: tuple[float, float], rng: np.random.Generator
 ) -> None:
-    """What stands out below the lid: its ledge, the dark part around the exhaust, reflectors."""
+    """Paint the bumper: its ledge, the unpainted part, reflectors and exhaust pipes."""
     half, (foot, top) = shape.width / 2, heights
     texture.rectangle(Chart.REAR, (-half, 0), (half, foot), TRIM, MATTE)
     if style.dark_bumpers:
@@ -87,7 +87,7 @@ def _bumper(
 
 
 def _lid(texture: Texture, shape: Shape, paint: Colour, low: float, top: float, rng: np.random.Generator) -> None:
-    """Boot lid or tailgate: its gaps, a crease across, its bulge from top to bottom."""
+    """Paint boot lid or tailgate: its gaps, a crease, its curvature."""
     half = shape.width / 2
     gap = rng.uniform(0.68, 0.8) * half
     for side in (-1, 1):
@@ -103,7 +103,7 @@ def _lid(texture: Texture, shape: Shape, paint: Colour, low: float, top: float, 
 
 
 def _model_names(texture: Texture, half: float, top: float, tall: float, rng: np.random.Generator) -> None:
-    """Letters of chrome on the lid, beside the badge."""
+    """Paint chrome letters on the lid, beside the badge."""
     z = top - rng.uniform(0.1, 0.9) * tall
     for side in (-1, 1) if rng.random() < 0.6 else (int(rng.choice([-1, 1])),):
         start, count = rng.uniform(0.22, 0.36) * half, int(rng.integers(2, 7))
@@ -113,7 +113,7 @@ def _model_names(texture: Texture, half: float, top: float, tall: float, rng: np
 
 
 def _rear_doors(texture: Texture, shape: Shape, style: Style, seam: Colour, rng: np.random.Generator) -> None:
-    """Two doors that open to the sides, or one that opens upwards; windows lie in hollows, and so do lower halves."""
+    """Paint a van's rear doors: two side by side, or one that opens upwards."""
     high = shape.height
     kind = int(rng.choice(3, p=[0.35, 0.35, 0.3]))  # without windows, with two, one wide window
     if kind == 2:
@@ -151,7 +151,7 @@ def _rear_doors(texture: Texture, shape: Shape, style: Style, seam: Colour, rng:
 
 
 def _door_pane(texture: Texture, ring: Any, style: Style, rng: np.random.Generator) -> None:
-    """A window in a van's door: film, a grille or the load behind it."""
+    """Paint a window in a van's door with film, a grille or the load behind it."""
     inner = pane(texture, Chart.REAR, ring, style.rear_glass, rim=0.92)
     low, high = inner.min(axis=0), inner.max(axis=0)
     behind = int(rng.choice(3, p=[0.4, 0.25, 0.35]))
@@ -191,13 +191,13 @@ def _tail_lamps(
     texture: Texture, shape: Shape, style: Style, top: float, tall: float, rng: np.random.Generator, lamps: bool,
     braking: bool,
 ) -> None:  # fmt: skip
-    """Behind bowed red glass: clear and amber fields, bowls, strips; its foot in shadow, the sky on its upper edge."""
+    """Paint tail lamps: red glass with clear and amber fields, reflectors and strips."""
     half, design = shape.width / 2, style.tail
     bright = rng.uniform(0.55, 1.15)
     unlit: Colour = (0.25 * bright, 0.013 * bright, 0.019 * bright)
     lit: Colour = (0.42, 0.034, 0.045) if braking else (0.30, 0.016, 0.02)
     core: Colour = (0.50, 0.06, 0.075) if braking else dim(lit, 1.5)
-    # Of one colour all over when unlit, or in fields.
+    # Unlit lamps have one colour, or fields of several.
     smoky = rng.random() < 0.25
     pale: Colour = dim((0.30, 0.25, 0.24), rng.uniform(0.5, 1.2)) if not smoky else dim(unlit, 0.5)
     orange: Colour = dim((0.26, 0.085, 0.012), rng.uniform(0.7, 1.2)) if rng.random() < 0.3 else dim(unlit, 0.6)
@@ -229,7 +229,7 @@ def _tail_lamps(
         texture.fade(Chart.REAR, inner, (0.24, 0.25, 0.27), (mirrored_sky, 0.0))
         spark = middle + np.array([side * 0.04 * half, 0.28 * tall])
         texture.circle(Chart.REAR, spark.tolist(), 0.018, (0.45, 0.24, 0.24), LAMP)
-        # A dark gap parts it from the paint.
+        # A dark gap separates it from the paint.
         texture.line(Chart.REAR, np.concatenate([smooth, smooth[:1]]), dim(unlit, 0.12), LAMP, 0.012)
         texture.bow(Chart.REAR, smooth, (0.8, 1.0), (0.0, 0.06))
     end = shell_end(shape)

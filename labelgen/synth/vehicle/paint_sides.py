@@ -43,13 +43,13 @@ def draw_texture(
     shape: Shape, extent_lwh: Sequence[float], paint: Colour, cargo: Colour, rng: np.random.Generator, *, lamps: bool,
     plates: str | None = None,
 ) -> Texture:  # fmt: skip
-    """The texture of one vehicle.
+    """Paint the texture of one vehicle other than a motorcycle.
 
     Args:
         shape: its proportions.
         extent_lwh: metres, its mesh's bounding cuboid.
         paint, cargo: linear RGB.
-        rng: decides style, plates, trim and wheels.
+        rng: gives style, plates, trim and wheels.
         lamps: whether its lamps are on.
         plates: one of `PLATES`; any when None.
     """
@@ -82,10 +82,10 @@ def draw_texture(
 
 
 def _draw_side(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
-    """Sheet metal, windows, doors and arches; returns where the windows end, metres behind the front."""
+    """Paint panels, windows, doors and wheel arches; return d, metres, where the windows end."""
     end = shell_end(shape)
     waist = shape.belt - rng.uniform(0.16, 0.32)
-    # Sheet metal: a crease along the waist, the wings' bulge, hollows in the doors.
+    # A crease along the waist, bulges of the wings, hollows in the doors.
     texture.emboss(Chart.SIDE, [(0.5, 0), (end - 0.3, 0), (end - 0.3, waist + 0.06), (0.5, waist)], -0.022, soft=True)
     low_crease = shape.clearance + 0.22
     texture.emboss(
@@ -124,7 +124,7 @@ def _disc(centre: tuple[float, float], radius: float) -> Any:
 
 
 def _side_windows(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: np.random.Generator) -> float:
-    """Glass between pillars, and the doors below it; returns where the glass ends."""
+    """Paint side windows, pillars and doors; return d, metres, where the glass ends."""
     d, z = top_line(shape)
     sill, frame = shape.belt + 0.02, 0.075
     first = shape.cowl[0] + 0.20 * (shape.roof_front[0] - shape.cowl[0]) + 0.10
@@ -141,7 +141,7 @@ def _side_windows(texture: Texture, shape: Shape, paint: Colour, style: Style, r
         return 0.0
     outline = np.concatenate([np.stack([d, z - frame], 1)[inside], [[d[inside][-1], sill], [d[inside][0], sill]]])
     if style.chrome:
-        # As a bright tone: materials do not mix, and a mirroring line thinner than a pixel would be drawn in dashes.
+        # As a bright tone: a reflecting line thinner than a pixel would be rendered in dashes.
         texture.line(Chart.SIDE, np.concatenate([outline, outline[:1]]), dim(CHROME_TONE, 0.55), LAMP, 0.03)
     texture.polygon(Chart.SIDE, outline, BLACK, GLASS)
     inner = outline + np.where(outline[:, 1:] > sill, [[0, -0.025]], [[0, 0.012]])
@@ -157,7 +157,7 @@ def _side_windows(texture: Texture, shape: Shape, paint: Colour, style: Style, r
     texture.polygon(Chart.SIDE, within, dim(style.glass, 2.2), GLASS)
     seats = [(low, sill + 0.012), *((p + dp, sill + dz) for p in _seats(low, high) for dp, dz in _HEAD_REST)]
     texture.polygon(Chart.SIDE, [*seats, (high, sill + 0.012)], dim(style.glass, 0.5), GLASS)
-    # Each pane stands a little askew and mirrors another part of what is beside the road.
+    # Panes differ a little in angle, so each reflects another part of the roadside.
     for start, end in pairwise([low, *pillars, high]):
         ring = [(start, sill), (end, sill), (end, shape.height), (start, shape.height)]
         level = float(rng.uniform(0.06, 0.34))
@@ -179,7 +179,7 @@ _HEAD_REST = ((-0.12, 0.03), (-0.10, 0.16), (-0.08, 0.24), (0.08, 0.24), (0.10, 
 
 
 def _seats(low: float, high: float) -> list[float]:
-    """Where seats stand behind side windows."""
+    """Return d, metres, of the seats behind side windows."""
     return np.arange(low + 0.75, high - 0.15, 0.85).tolist()
 
 
@@ -270,7 +270,7 @@ def _draw_top(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: 
 
 
 def _bed(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
-    """A pickup's load bed: a dark cover, or a floor that lies in the shadow of its sides, with things on it."""
+    """Paint a pickup's load bed: a dark cover, or a shaded floor with things on it."""
     assert shape.bed is not None
     half, start, end = 0.86 * shape.width / 2, shape.bed[0], shape.length - 0.10
     ring = [(start, -half), (end, -half), (end, half), (start, half)]
@@ -294,17 +294,17 @@ def _bed(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
 def _top_pane(
     texture: Texture, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
 ) -> tuple[Any, OnScreen]:
-    """A wind or rear screen as far as it lies flat enough to be seen from above.
+    """Paint the part of a windscreen or rear window that chart TOP shows.
 
     Returns:
-        Its outline, foot first, and what places things on it.
+        Its outline (N, 2), foot first, and the map from coordinates on it to the drawing.
     """
     half = shape.width / 2
     edge = [cabin_edge(shape, half, z) - 0.04 for _, z in (near, far)]
     d0, d1 = near[0] + gap * (far[0] - near[0]), far[0] - 0.06 * (far[0] - near[0])
     across = np.linspace(1, -1, 9)
     y0, y1 = (edge[0] - 0.02) * across, (edge[1] - 0.025) * across
-    # Seen from above both edges are bows, as the body is there.
+    # In plan both edges are curved, as the body is.
     lower = np.stack([d0 + setback(shape, d0, y0), y0], axis=1)
     upper = np.stack([d1 + setback(shape, d1, y1), y1], axis=1)
     ring = np.concatenate([lower, upper[::-1]])
@@ -316,7 +316,7 @@ def _top_pane(
 
 
 def _bonnet(texture: Texture, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:
-    """Gaps at the bonnet's sides and front, its creases, the wipers at its rear."""
+    """Paint gaps at the bonnet's sides and front, its creases, and wipers."""
     start, back = face_edge(shape)[0], shape.cowl[0] - 0.05
 
     def bowed(points: list[tuple[float, float]]) -> Any:

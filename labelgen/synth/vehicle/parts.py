@@ -1,4 +1,4 @@
-"""What vehicles have in common: style, plates, wheels, windows and what lamps are made of."""
+"""Parts that all vehicles have: style, number plates, wheels, windows and reflectors of lamps."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ SILL = 0.05
 """Height of the dark edge below a body's paint where there is no cladding, metres."""
 CHROME_TONE: Colour = (0.50, 0.50, 0.51)
 GLOW: Colour = (1.0, 0.97, 0.88)
-"""Of head lamps that are on."""
+"""Colour of head lamps that are on."""
 SEAM = 0.5
-"""How bright a gap between panels is, as a share of the paint."""
+"""Brightness of a gap between panels, as a share of the paint's."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """What a model looks like beyond its proportions.
+    """Design of a vehicle beyond its proportions.
 
     Args:
         front: its lamps, grille and bumper.
@@ -59,10 +59,10 @@ class Style:
         chrome: whether window frames and the bar above the rear plate are bright.
         glass: albedo of the dark behind the glass.
         rear_glass: the same from the second row on.
-        clear, rear_clear: 0 to 1, how much light comes through the cabin to who looks in at the front, at the rear.
+        clear, rear_clear: 0 to 1, light that comes through the cabin to the windscreen, to the rear window.
         dark_roof: whether the roof is black.
         rails: 0 none, 1 black, 2 bright.
-        plate: number of a family of plates.
+        plate: index into `PLATES`.
         plate_high: whether the rear plate sits on the boot lid rather than the bumper.
     """
 
@@ -86,7 +86,7 @@ PLATES = ("european", "yellow", "blue", "short")
 
 
 def sample_style(shape: Shape, rng: np.random.Generator, plates: str | None = None) -> Style:
-    """A style that suits a body. `plates`: one of `PLATES`, any when None."""
+    """Sample a style that suits a body; `plates` is one of `PLATES`, any when None."""
     rugged = shape.kind in ("suv", "pickup", "van") and rng.random() < 0.6
     dark = rng.uniform(0.008, 0.022)
     private = rng.random() < (0.5 if shape.kind in ("suv", "minivan", "estate") else 0.25)
@@ -123,12 +123,12 @@ _PLATES: tuple[tuple[Colour, Colour, bool], ...] = (
     ((0.62, 0.62, 0.60), _INK, True), ((0.43, 0.32, 0.075), _INK, True),
     ((0.15, 0.24, 0.33), (0.56, 0.58, 0.59), False), ((0.60, 0.60, 0.58), (0.07, 0.09, 0.22), False),
 )  # fmt: skip
-"""Ground, letters, and whether a blue strip stands at the left."""
+"""Colours of ground and letters, and whether there is a blue strip on the left."""
 
 
 _DUST: Colour = (0.20, 0.19, 0.17)
 SKY: Colour = (0.30, 0.33, 0.36)
-"""What bright glass mirrors."""
+"""Colour of the sky that bright glass reflects."""
 
 
 def _toward(colour: Colour, other: Colour, share: float) -> Colour:
@@ -137,7 +137,7 @@ def _toward(colour: Colour, other: Colour, share: float) -> Colour:
 
 
 def plate(texture: Texture, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator) -> None:
-    """A number plate in its frame."""
+    """Paint a number plate in its frame; `family` is an index into `PLATES`."""
     y, z = centre
     ground, ink, strip = _PLATES[family]
     half, tall = (0.26, 0.055) if family < 2 else (0.21, 0.07)
@@ -161,12 +161,12 @@ def plate(texture: Texture, chart: Chart, centre: tuple[float, float], family: i
             else:
                 at = z + rng.uniform(-high, high - 0.012)
                 texture.rectangle(chart, (left, at), (left + wide, at + 0.014), ink, PLATE)
-    # The sky is mirrored in its upper part.
+    # Its upper part reflects the sky.
     texture.fade(chart, recess, SKY, (rng.uniform(0.05, 0.25), 0.03))
 
 
 def pane(texture: Texture, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
-    """A bonded window with rounded corners and a black rim; returns the outline of its glass."""
+    """Paint a window with rounded corners and a black rim; return the outline (N, 2) of its glass."""
     ring = np.asarray(corners, dtype=np.float64)
     smooth, middle = rounded(ring, 0.11), ring.mean(axis=0)
     texture.polygon(chart, smooth, BLACK, GLASS)
@@ -174,13 +174,13 @@ def pane(texture: Texture, chart: Chart, corners: Any, glass: Colour, *, rim: fl
     texture.polygon(chart, inner, glass, GLASS)
     texture.groove(chart, np.concatenate([smooth, smooth[:1]]), 0.003, 0.02)
     texture.shadow(chart, np.concatenate([smooth, smooth[:1]]), 0.35, 0.04)
-    # Glass is bowed across: its middle mirrors the sky, its sides what stands beside the road.
+    # Glass is curved across: its middle reflects the sky, its sides the roadside.
     texture.bow(chart, smooth, (0.2, 0.42) if chart is Chart.TOP else (0.42, 0.45))
     return np.asarray(inner)
 
 
 def veil(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
-    """The dashboard as a windscreen mirrors it, a pale veil that is mostly stronger at its foot."""
+    """Paint the dashboard's reflection in a windscreen: a pale veil, mostly stronger at its foot."""
     points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.17)
     tone: Colour = (0.72 * level, level, 0.95 * level)
     shares = (rng.uniform(0.0, 0.3), rng.uniform(0.1, 0.7))  # at the head, at the foot
@@ -189,9 +189,9 @@ def veil(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator) ->
 
 
 def gleam(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
-    """What glass mirrors over what lies behind it: sky near its upper edge, less and less below, softly.
+    """Paint the reflection of the sky on glass, which fades from its upper edge downwards.
 
-    The ring starts with the lower edge where it is drawn from above.
+    On chart TOP the ring starts with the window's lower edge.
     """
     points = np.asarray(ring, dtype=np.float64)
     top, foot = share * rng.uniform(0.6, 1.3), 0.06 * share
@@ -205,7 +205,7 @@ def gleam(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator, s
 
 
 def draw_wheels(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
-    """Tyres, rims in one of several families, hubs."""
+    """Paint tyres, rims of one of four families, and hubs."""
     texture.fill(Chart.WHEEL, (0.016, 0.016, 0.016), MATTE)
     family = int(rng.integers(4))
     bright = float(rng.choice([0.04, 0.16, 0.30, 0.42], p=[0.15, 0.25, 0.35, 0.25]))
@@ -234,7 +234,7 @@ def draw_wheels(texture: Texture, shape: Shape, rng: np.random.Generator) -> Non
 def bowl(
     texture: Texture, chart: Chart, centre: NDArray[np.float64], radius: float, tones: tuple[Colour, Colour, Colour]
 ) -> None:
-    """A round reflector: its rim, what lies inside, and the spot of light that stands above its middle."""
+    """Paint a round reflector in three tones: its rim, its inside, and a highlight above its centre."""
     rim, inside, spot = tones
     texture.circle(chart, centre.tolist(), radius, rim, LAMP)
     texture.circle(chart, centre.tolist(), 0.74 * radius, inside, LAMP)
@@ -242,5 +242,5 @@ def bowl(
 
 
 def mirrored(points: Sequence[tuple[float, float]], side: int) -> list[tuple[float, float]]:
-    """Points of the left half on either half of an end view."""
+    """Return points of the left half (side 1) or mirrored to the right half (side -1) of an end view."""
     return [(side * y, z) for y, z in points]

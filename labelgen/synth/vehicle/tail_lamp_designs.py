@@ -1,6 +1,6 @@
-"""Designs of tail lamps: their outlines and what shows through their glass.
+"""Designs of tail lamps: outlines, fields, reflectors and strips.
 
-Places are (y, down): y in shares of the half-width from the middle outwards, down in shares of the lamp's height below
+Points are (y, down): y in shares of the half-width from the middle outwards, down in shares of the lamp's height below
 its top, negative above it. Each describes one side. None is of a particular make.
 """
 

@@ -1,7 +1,10 @@
-"""What a vehicle is painted with: one image that holds several orthographic drawings of it, one per `Chart`.
+"""Texture of a vehicle: one image that holds several orthographic drawings of it, one for each `Chart`.
 
-Channels: linear light square-rooted to 8 bit (three), the material of `raster`, and two slopes of the sheet metal,
-along the drawing's columns and rows, 128 for level, in steps of 0.01 metre per metre: creases, gaps and bulges.
+Channels: linear RGB as square roots in 8 bit, the material (see `shading.materials`), and two slopes of the surface
+along the drawing's columns and rows, 128 for level, in steps of 0.01 m per m: creases, gaps and bulges.
+
+Convention: points of a drawing are (d, z) on the sides, (d, y) on top and (y, z) at the ends, in metres; d counts from
+the front backwards, z from the road upwards, and y at the ends points to the viewer's right.
 """
 
 from __future__ import annotations
@@ -20,22 +23,28 @@ from labelgen.synth.vehicle.mesh import Chart
 __all__ = ["Colour", "Texture", "dim", "rounded"]
 
 _PPM, _PPM_LONG = 96, 56
-"""Texture pixels per metre, of cars and of vehicles longer than `_LONG_M`."""
+"""Texels per metre, of cars and of vehicles longer than `_LONG_M`."""
 _LONG_M = 6.5
-# By how many texels: one that is seen squarely fills a pixel or half of one.
+# Width of the blur in texels. Cameras see these drawings foreshortened; a texel seen squarely fills at most a pixel.
 _FORESHORTENED = ((Chart.SIDE, 5), (Chart.TOP, 5))
 _FONT, _CAPITAL_PX = cv2.FONT_HERSHEY_DUPLEX, 21.0
-"""And how tall its capitals are at scale 1."""
+"""Font of letters, and the height of its capitals at scale 1."""
 _FINE_PX, _SOFT_PX, _SOFT_SHADOW_PX = 1.2, 6.0, 5
+"""Sigma of the blur of sharp and of soft relief, and width of that of shadows, texels."""
 
 Colour = tuple[float, float, float]
+"""Linear RGB, 0 to 1."""
 
 
 class Texture:
-    """The image, and where each chart lies in it.
+    """An image that is painted chart by chart, and its mip levels.
 
     Args:
-        extent_lwh: metres, the mesh's bounding cuboid.
+        extent_lwh: metres, length, width and height of the mesh's bounding cuboid.
+
+    Attributes:
+        ppm: texels per metre.
+        maps: (len(Chart), 2, 4) float64, from the vehicle's frame (x, y, z, 1) to texture px.
     """
 
     def __init__(self, extent_lwh: Sequence[float]) -> None:
@@ -78,7 +87,7 @@ class Texture:
         self._colours[self._rows(chart)] = _texel(colour, material)
 
     def polygon(self, chart: Chart, points: Any, colour: Colour, material: int) -> None:
-        """Paint a polygon. Points: (d, z) on the sides, (d, y) on top, (y, z) at the ends, y to the viewer's right."""
+        """Paint a polygon; points (N, 2) in metres, see the module's convention."""
         view = self._colours[self._rows(chart)]
         cv2.fillPoly(view, [self._pixels(chart, points)], _texel(colour, material), cv2.LINE_8, 4)
 
@@ -104,32 +113,33 @@ class Texture:
     def text(
         self, chart: Chart, at: tuple[float, float], words: str, height: float, colour: Colour, material: int
     ) -> float:
-        """Write words; returns how wide they are, metres.
+        """Write words, and return their width in metres.
 
         Args:
             chart: drawing.
             at: lower left corner, as for `polygon`.
             words: ASCII.
             height: of capitals, metres.
-            colour, material: of the letters.
+            colour: of the letters.
+            material: of the letters.
         """
         view = self._colours[self._rows(chart)]
         x, y = (self._pixels(chart, [at])[0] / 16).round().astype(int).tolist()
         scale, thick = height * self.ppm / _CAPITAL_PX, max(1, round(0.17 * height * self.ppm))
-        # By way of a mask, since on four channels some versions of OpenCV blend, and materials do not mix.
+        # Through a mask, since some versions of OpenCV blend four channels, and materials must not be blended.
         letters = np.zeros(view.shape[:2], dtype=np.uint8)
         cv2.putText(letters, words, (x, y), _FONT, scale, 255, thick, cv2.LINE_8)
         view[letters > 127] = _texel(colour, material)
         return float(cv2.getTextSize(words, _FONT, scale, thick)[0][0] / self.ppm)
 
     def fade(self, chart: Chart, points: Any, colour: Colour, shares: Sequence[float], *, level: bool = False) -> None:
-        """Mix a colour into what is painted within a polygon: reflections on glass, dust on panels.
+        """Blend a colour into a polygon: reflections on glass, dust on panels.
 
         Args:
             chart: drawing.
             points: as for `polygon`.
-            colour: mixed in.
-            shares: 0 to 1, of that colour at the drawing's top, and at its foot; it runs evenly between.
+            colour: blended in.
+            shares: 0 to 1, of that colour at the polygon's top and at its foot, interpolated linearly.
             level: from left to right rather than from top to foot.
         """
         rows = self._rows(chart)
@@ -145,24 +155,24 @@ class Texture:
         view[..., :3] = (view[..., :3] + share * (into - view[..., :3])).round()
 
     def emboss(self, chart: Chart, points: Any, height: float, *, soft: bool = False) -> None:
-        """Raise a polygon by so many metres; softly: over a wide edge."""
+        """Raise a polygon by a height in metres; `soft` widens its edge."""
         view = self._relief[soft][self._rows(chart)]
         cv2.fillPoly(view, [self._pixels(chart, points)], height, cv2.LINE_8, 4)
 
     def groove(self, chart: Chart, points: Any, depth: float = 0.008, width: float = 0.016) -> None:
-        """A gap between panels, or a crease when the depth is negative."""
+        """Draw a gap between panels, or a crease when the depth in metres is negative."""
         view = self._relief[0][self._rows(chart)]
         thick = max(1, round(width * self.ppm))
         cv2.polylines(view, [self._pixels(chart, points)], False, -depth, thick, cv2.LINE_8, 4)
 
     def bow(self, chart: Chart, points: Any, bend: Sequence[float], lean: Sequence[float] = (0.0, 0.0)) -> None:
-        """Curve a panel within a polygon, as its normals show it; the mesh stays as it is.
+        """Curve a panel within a polygon by tilting its normals; the mesh does not change.
 
         Args:
             chart: drawing.
             points: as for `polygon`.
-            bend: 1 / metre, how fast it falls away from the polygon's middle along the drawing's columns and rows.
-            lean: metre per metre, by how much it rises along them in its middle.
+            bend: 1 / m, curvature along the drawing's columns and rows.
+            lean: m per m, slope along them at the polygon's centre.
         """
         rows = self._rows(chart)
         ring = self._pixels(chart, points)
@@ -177,18 +187,18 @@ class Texture:
         view[1] += np.where(inside, lean[1] - bend[1] * down[:, None], 0)
 
     def flatten(self, chart: Chart, points: Any) -> None:
-        """Take out within a polygon what `bow` has curved: number plates are flat."""
+        """Undo `bow` within a polygon: number plates are flat."""
         rows = self._rows(chart)
         for plane in self._bows:
             cv2.fillPoly(plane[rows], [self._pixels(chart, points)], 0.0, cv2.LINE_8, 4)
 
     def shadow(self, chart: Chart, points: Any, share: float, width: float = 0.05) -> None:
-        """Keep a share of the light from a line, softly, as hollows and edges do.
+        """Darken a line softly, as ambient occlusion does in hollows and at edges.
 
         Args:
             chart: drawing.
             points: as for `line`.
-            share: 0 to 1, of the light that is kept away.
+            share: 0 to 1, of the light that is lost.
             width: metres.
         """
         view = self._dark[self._rows(chart)]
@@ -196,13 +206,13 @@ class Texture:
         cv2.polylines(view, [self._pixels(chart, points)], False, round(255 * share), thick, cv2.LINE_8, 4)
 
     def weather(self, chart: Chart, streaks: float, blots: float, rng: np.random.Generator) -> None:
-        """Take light from a drawing's paint and trim unevenly, as rain, dust and age do; not from glass and lamps.
+        """Darken paint and trim unevenly, as rain, dust and age do; glass and lamps stay.
 
         Args:
             chart: drawing.
-            streaks: share of the light that the darkest streaks from top to foot take.
-            blots: the same of wide patches.
-            rng: where they are.
+            streaks: share of the light that is lost in the darkest vertical streaks.
+            blots: the same in wide patches.
+            rng: gives their positions.
         """
         view = self._colours[self._rows(chart)]
         h, w = view.shape[:2]
@@ -220,11 +230,11 @@ class Texture:
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:
-        """(h, w, 6) uint8, all that was painted and embossed before it was first asked for."""
+        """(h, w, 6) uint8, the finished texture; computed at the first access, without what is painted later."""
         out = np.full((*self._colours.shape[:2], 6), 128, dtype=np.uint8)
         out[..., :4] = self._colours
         for chart in Chart:
-            # Drawings end at their own borders.
+            # Filters must not cross the border between two drawings.
             rows = self._rows(chart)
             fine, soft = (plane[rows] for plane in self._relief)
             bows = self._bows[:, rows]
@@ -241,7 +251,7 @@ class Texture:
         return out
 
     def level(self, metres_per_px: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-        """The image and the charts' maps at a resolution that suits pixels of this size: finer would flicker."""
+        """Return the mip level for pixels of this size: image (h, w, 6) uint8 and maps (len(Chart), 2, 4)."""
         if not self._levels:
             self._levels.append((self._along_the_road(self.image, 1.0), self.maps))
             image, maps = self.image, self.maps
@@ -249,7 +259,7 @@ class Texture:
                 size = (max(1, image.shape[1] // 2), max(1, image.shape[0] // 2))
                 parts = [cv2.resize(image[..., k : k + 3], size, interpolation=cv2.INTER_AREA) for k in (0, 3)]
                 half: Any = np.concatenate(parts, axis=2)
-                # Materials do not mix.
+                # Materials are sampled, not averaged.
                 half[..., 3] = image[: 2 * size[1] : 2, : 2 * size[0] : 2, 3]
                 image, maps = half, maps / 2
                 self._levels.append((self._along_the_road(half, 0.5 ** (number + 1)), maps))
@@ -257,13 +267,13 @@ class Texture:
         return self._levels[number]
 
     def _along_the_road(self, image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
-        """A level with sides and top softened along the vehicle: traffic cameras see both drawings foreshortened."""
+        """Return a level blurred along the vehicle on sides and top, which traffic cameras see foreshortened."""
         out = image.copy()
         for chart, texels in _FORESHORTENED:
             first, last = (round(scale * int(self._tops[chart + k])) for k in (0, 1))
             if last - first > 1:
                 rows = slice(first, last)
-                for part in (slice(0, 3), slice(4, 6)):  # all but the material
+                for part in (slice(0, 3), slice(4, 6)):  # all channels but the material
                     out[rows, :, part] = cv2.blur(np.ascontiguousarray(image[rows, :, part]), (texels, 1))
         return out
 
@@ -274,7 +284,7 @@ def _texel(colour: Colour, material: int) -> tuple[int, int, int, int]:
 
 
 def rounded(points: Any, share: float = 0.12) -> NDArray[np.float64]:
-    """A closed polygon with its corners cut twice, as glass and lamps have them."""
+    """Return a closed polygon (4 N, 2) with its corners cut twice (Chaikin), as glass and lamps have them."""
     ring = np.asarray(points, dtype=np.float64)
     for cut in (share, 0.25):
         ahead = np.roll(ring, -1, axis=0) - ring
@@ -283,4 +293,5 @@ def rounded(points: Any, share: float = 0.12) -> NDArray[np.float64]:
 
 
 def dim(colour: Colour, factor: float) -> Colour:
+    """Return a colour times a factor."""
     return colour[0] * factor, colour[1] * factor, colour[2] * factor

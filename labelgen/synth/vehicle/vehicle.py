@@ -1,4 +1,4 @@
-"""Vehicles ready to be drawn: mesh, texture and paint, made from a body type and a random generator."""
+"""Vehicles ready to be rendered: mesh, texture and paint, sampled from a body type."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from labelgen.synth.vehicle.texture import Texture
 
 __all__ = ["VehicleModel", "body_kinds", "check_kinds", "check_plates", "make_vehicle", "vehicle_size"]
 
-# Shares as on European roads: mostly white, grey, black, silver; then blue, red, and the rest.
+# Linear RGB, metalness and share. Shares as on European roads: white, grey, black, silver; blue, red, and the rest.
 _PAINTS: tuple[tuple[tuple[float, float, float], float, float], ...] = (
     ((0.75, 0.75, 0.745), 0.0, 0.25),
     ((0.42, 0.43, 0.44), 0.7, 0.17),
@@ -55,15 +55,15 @@ _CARGO_TONES = ((0.66, 0.66, 0.63), (0.46, 0.46, 0.47), (0.10, 0.12, 0.18), (0.2
 
 @dataclass(frozen=True, eq=False)
 class VehicleModel:
-    """One vehicle.
+    """One vehicle to be rendered.
 
     Args:
         kind: body type, a key of `BODY_TYPES`, or "box".
         vehicle_class: for labels.
-        size_lwh: (3,) metres, the bounding cuboid of the body, as registration papers give it: without mirrors.
-        mesh: around the middle of the cuboid's floor.
-        texture: what is painted on it.
-        paint: (5,) see `raster.shade`.
+        size_lwh: (3,) metres, length, width and height of the body's bounding cuboid, without mirrors.
+        mesh: in the vehicle's frame, whose origin is the centre of the cuboid's floor.
+        texture: colours, materials and slopes of the surface.
+        paint: (5,) see `rasterizer.shade`.
     """
 
     kind: str
@@ -75,38 +75,48 @@ class VehicleModel:
 
 
 def body_kinds(longest_m: float = np.inf) -> tuple[list[str], NDArray[np.float64]]:
-    """Body types no longer than this and their shares in traffic, which sum to 1."""
+    """Return the body types up to a length in metres, and their (K,) shares in traffic, which sum to 1."""
     kinds = [kind for kind, shape in BODY_TYPES.items() if shape.length * 1.05 <= longest_m] or ["supermini"]
     shares = np.array([BODY_TYPES[kind].share for kind in kinds])
     return kinds, shares / shares.sum()
 
 
 def check_kinds(kinds: Iterable[str]) -> None:
-    """DataError when one of them is no body type."""
+    """Check names of body types.
+
+    Raises:
+        DataError: one of them is no key of `BODY_TYPES` and not "box".
+    """
     for kind in kinds:
         if kind not in BODY_TYPES and kind != "box":
-            raise DataError(f"--bodies {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box")
+            raise DataError(
+                f"kinds {kind}: unknown body type; use some of {', '.join(BODY_TYPES)}, box", parameter="kinds"
+            )
 
 
 def check_plates(plates: str | None) -> None:
-    """DataError when it is no family of number plates."""
+    """Check the name of a family of number plates.
+
+    Raises:
+        DataError: it is not in `PLATES`.
+    """
     if plates is not None and plates not in PLATES:
-        raise DataError(f"--plates {plates}: unknown; use one of {', '.join(PLATES)}")
+        raise DataError(f"plates {plates}: unknown; use one of {', '.join(PLATES)}", parameter="plates")
 
 
 def make_vehicle(
     kind: str, rng: np.random.Generator, *, lamps: bool = False, plates: str | None = None
 ) -> VehicleModel:
-    """A vehicle of a body type, with its own proportions, colour and details.
+    """Sample a vehicle of a body type: proportions, colour and details.
 
     Args:
         kind: a key of `BODY_TYPES`, or "box": a plain cuboid, whose outline is that of its 3D box.
-        rng: everything that varies comes from it.
+        rng: the same state gives the same vehicle.
         lamps: whether its lamps are on.
         plates: one of `PLATES`; any when None.
 
     Raises:
-        DataError: no such body type.
+        DataError: there is no such body type.
     """
     body = _body(kind, rng)
     if body.shape is None:
@@ -119,7 +129,7 @@ def make_vehicle(
     extent = np.ptp(body.mesh.vertices, axis=0).tolist()
     mesh = body.mesh if kind == "motorcycle" else _with_outside_parts(body.mesh, body.shape)
     cargo = _CARGO_TONES[int(rng.choice(len(_CARGO_TONES), p=[0.56, 0.2, 0.1, 0.07, 0.07]))]
-    # No two greys are alike: some are bluish, some brown, a few greenish, none lilac; whites hardly differ.
+    # Greys vary: some are bluish, some brown, a few greenish, none lilac. Whites hardly differ.
     spread = 0.006 + 0.05 * max(0.0, 1 - float(np.mean(body.colour)) / 0.6)
     warm, aside, fresh = rng.normal(0, spread, 3).clip(-0.2, 0.2).tolist()
     tint = np.array([1 + warm, 1 + 0.4 * abs(fresh), 1 - warm + 0.3 * aside])
@@ -130,13 +140,13 @@ def make_vehicle(
         draw_motorcycle(texture, body.shape, colour, rng, lamps=lamps)
     else:
         texture = draw_texture(body.shape, extent, colour, cargo, rng, lamps=lamps, plates=plates)
-    texture.level(0.0)  # every level now rather than in the first frame
+    texture.level(0.0)  # computes every level now rather than in the first frame
     paint = np.array([body.metal, rng.uniform(0.7, 1.0), 0.9, 0.0, rng.uniform(0.02, 0.18)])
     return VehicleModel(kind, body.vehicle_class, body.size_lwh, mesh, texture, paint)
 
 
 def vehicle_size(kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
-    """(3,) the size that `make_vehicle` gives with the same generator, without drawing its texture."""
+    """Return (3,) `size_lwh` of `make_vehicle` for the same generator, without painting a texture."""
     return _body(kind, rng).size_lwh
 
 

@@ -51,6 +51,6 @@ def test_a_vehicle_that_stops_leaves_no_specks(tmp_path: Path) -> None:
                 bus[:] = (160, 110, 40)
                 bus[rng.random(bus.shape[:2]) < 0.5] = (90, 60, 170)
             writer.write(frame)
-    empty = read_footage(tmp_path / "bus.avi").empty.astype(int)
+    empty = read_footage(tmp_path / "bus.avi").background.astype(int)
     assert (np.ptp(empty[30:90, 20:70], axis=2) > 40).mean() < 0.05
     assert np.abs(empty[:, 77:83] - 200).mean() < 4
