@@ -99,6 +99,12 @@ def boxcars_job(
         "per_shard": per_shard,
         **settings,
     }
+    originals = {} if data.from_atlas else {_SOURCE: {"images": str(data.images.resolve())}}
+    return Job("boxcars", job_settings, _inputs(data), units, originals)
+
+
+def _inputs(data: BoxCars) -> dict[str, str]:
+    """Return what identifies the files of a tree, by their names."""
     inputs = {
         "root": data.root.name,
         data.annotations.name: file_hash(data.annotations),
@@ -108,8 +114,7 @@ def boxcars_job(
         inputs[data.splits.name] = file_hash(data.splits)
     if data.atlas is not None:
         inputs[data.atlas.name] = f"{data.atlas.stat().st_size} {file_hash(data.atlas)}"
-    originals = {} if data.from_atlas else {_SOURCE: {"images": str(data.images.resolve())}}
-    return Job("boxcars", job_settings, inputs, units, originals)
+    return inputs
 
 
 def _left_out(instance: Instance, cameras: Sequence[str] | None, to_camera_only: bool) -> str:

@@ -46,8 +46,8 @@ class Staging:
         resumed: number of shards that an interrupted run of the same job had made.
         published: whether the data set is in its final folder.
 
-    Raises (on entering):
-        OutputError: the folder is in use, holds something else, or cannot be written.
+    Raises:
+        OutputError: on entering: the folder is in use, holds something else, or cannot be written.
     """
 
     def __init__(self, out: Path, description: Mapping[str, Any], *, overwrite: bool) -> None:

@@ -42,8 +42,8 @@ class ShardReader:
     Attributes:
         path: the shard.
 
-    Raises (at the first access):
-        DataError: the file is missing, not a shard, damaged, or of a newer format.
+    Raises:
+        DataError: at the first access: the file is missing, not a shard, damaged, or of a newer format.
     """
 
     def __init__(self, path: str | Path) -> None:

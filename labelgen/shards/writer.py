@@ -39,8 +39,8 @@ class ShardWriter:
         last: whether this is the last shard of its source; to be set before the block ends.
         content_sha256: hash of the content, once written.
 
-    Raises (at the end of the block):
-        OutputError: the file cannot be written; nothing is left of it.
+    Raises:
+        OutputError: at the end of the block: the file cannot be written; nothing is left of it.
     """
 
     def __init__(

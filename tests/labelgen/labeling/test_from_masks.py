@@ -1,0 +1,80 @@
+"""Labels from instance masks: silhouettes of cuboids give their label, others are rejected with a reason."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from clips import CAMERA, SIZE, road_mask, vehicle_boxes
+
+from labelgen.geometry import Pair, Rectification, Region, RoadMask, encode_boxes
+from labelgen.labeling import LabelLimits, flat_labels, label_masks
+from labelgen.labels import Flag, VehicleClass
+from labelgen.masks import InstanceMasks
+
+FRAME = 20
+"""A frame in which both vehicles are whole."""
+ROAD = RoadMask(road_mask())
+RECTIFICATION = Rectification.from_road_mask(CAMERA, ROAD, Pair.VP2_VP3, (640, 360))
+
+
+def _masks(polygons: list[np.ndarray]) -> InstanceMasks:
+    """Instance masks of the convex hulls of points (K, 2), frame px."""
+    origins, crops = [], []
+    for polygon in polygons:
+        canvas = np.zeros(SIZE[::-1], np.uint8)
+        hull = cv2.convexHull(polygon.astype(np.float32))
+        cv2.fillConvexPoly(canvas, np.round((hull - 0.5) * 256).astype(np.int32), 1, shift=8)
+        x, y, w, h = cv2.boundingRect(canvas)
+        origins.append((x, y))
+        crops.append(canvas[y : y + h, x : x + w] > 0)
+    n = len(polygons)
+    return InstanceMasks(SIZE, np.array(origins), tuple(crops), np.full(n, VehicleClass.CAR), np.full(n, 0.9))
+
+
+def test_silhouettes_of_cuboids_give_their_labels() -> None:
+    boxes = vehicle_boxes(FRAME)
+    labels, rejects = label_masks(_masks(list(boxes)), RECTIFICATION, CAMERA, ROAD.pixels)
+    exact = encode_boxes(RECTIFICATION.points(boxes), RECTIFICATION.vpu)
+    assert rejects == []
+    assert labels.class_ids.tolist() == [VehicleClass.CAR] * 2
+    np.testing.assert_allclose(labels.boxes_xyxy, exact.boxes_xyxy, atol=2.5)
+    np.testing.assert_allclose(labels.cc, exact.cc, atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        (LabelLimits(min_height_px=300.0), "too small"),
+        (LabelLimits(max_size_lwh_m=(3.0, 3.0, 3.0)), "implausible size"),
+        (LabelLimits(min_size_lwh_m=(6.0, 0.5, 0.5)), "implausible size"),
+    ],
+)
+def test_limits_reject_masks_with_a_reason(limits: LabelLimits, reason: str) -> None:
+    labels, rejects = label_masks(_masks(list(vehicle_boxes(FRAME))), RECTIFICATION, CAMERA, ROAD.pixels, limits=limits)
+    assert len(labels) == 0
+    assert [reject[:2] for reject in rejects] == [(0, reason), (1, reason)]
+
+
+def test_masks_off_the_road_are_rejected() -> None:
+    labels, rejects = label_masks(_masks(list(vehicle_boxes(FRAME))), RECTIFICATION, CAMERA, np.zeros_like(ROAD.pixels))
+    assert len(labels) == 0
+    assert {reason for _, reason, _ in rejects} == {"off the road"}
+
+
+def test_touching_masks_are_flagged() -> None:
+    first = vehicle_boxes(FRAME)[0]
+    second = first + np.array([np.ptp(first[:, 0]) - 2.0, np.ptp(first[:, 1]) / 4])
+    labels, _ = label_masks(_masks([first, second]), RECTIFICATION, CAMERA, ROAD.pixels)
+    assert labels.has(Flag.TOUCHING).tolist() == [True, True]
+
+
+def test_frames_that_are_not_rectified_get_flat_labels() -> None:
+    resizing = Rectification.of_region(Region.NONE, CAMERA, ROAD, Pair.VP2_VP3, (320, 180))
+    boxes = vehicle_boxes(FRAME)
+    labels, rejects = flat_labels(_masks(list(boxes)), resizing, ROAD.pixels)
+    assert rejects == []
+    assert labels.has(Flag.FLAT).all()
+    assert not labels.cc.any()
+    expected = np.concatenate([boxes.min(axis=1), boxes.max(axis=1)], axis=1) / 2
+    np.testing.assert_allclose(labels.boxes_xyxy, expected, atol=1.0)
