@@ -31,7 +31,7 @@ __all__ = ["ContactRules", "MaskExtent", "contact_distance_m", "move_to_contact_
 
 @dataclass(frozen=True)
 class ContactRules:
-    """Offsets of masks by a background model, from nine rendered sessions (docs/speed-variants.md).
+    """Offsets of masks by a background model, from nine rendered sessions (docs/studies/speed-variants.md).
 
     Args:
         shade_behind_m: metres; the mask ends this far behind the near end, on the dark road under the bumper. It is the

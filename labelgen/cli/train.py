@@ -21,7 +21,7 @@ def train(
     out: Annotated[Path, typer.Option("--out", metavar="RUN_DIR", help="Where checkpoints and logs go.")],
     preset: Annotated[
         str,
-        typer.Option("--preset", metavar="NAME", help="small, paper-640x360, transform2d, ...; see docs/detector.md."),
+        typer.Option("--preset", metavar="NAME", help="small, paper-640x360, ...; see docs/guides/train.md."),
     ] = "small",
     val: Annotated[
         list[str] | None, typer.Option("--val", metavar="SHARDS", help="Shards to judge by; may be given repeatedly.")

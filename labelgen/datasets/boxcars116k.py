@@ -2,7 +2,7 @@
 
 Layout, checked on the data set itself: dataset.pkl and json_data/dataset.json hold the same
 `{cameras: {name: {vp1, vp2, vp3, pp}}, samples: [{camera, to_camera, annotation, instances: [...]}]}`. Crops are image
-files in images/, or JPEG bytes in atlas.pkl[vehicle][instance]. Crop pixels are frame pixels minus `3DBB_offset`.
+files in images/, or JPEG bytes in `atlas.pkl[vehicle][instance]`. Crop pixels are frame pixels minus `3DBB_offset`.
 
 Source: Sochor, Spanhel, Herout, "BoxCars: Improving Fine-Grained Recognition of Vehicles Using 3-D Bounding Boxes in
 Traffic Surveillance", IEEE T-ITS 2019.

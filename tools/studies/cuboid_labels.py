@@ -1,6 +1,6 @@
 """How near labels from masks come to exact ones: solid boxes projected into real scenes.
 
-    python -m tools.studies.cuboid_labels --real DIR [--out docs/label-accuracy.md] [--count 250]
+    python -m tools.studies.cuboid_labels --real DIR [--out docs/studies/label-accuracy.md] [--count 250]
 
 DIR holds brnocompspeed/dataset/sessionN_*/video_mask.png and brnocompspeed/results/sessionN_*/. Only numbers leave it.
 """
@@ -228,31 +228,30 @@ def measure_scenes(scenes: list[Scene], count: int, *, published: bool = False, 
 
 _LENGTHS = ", ".join(f"{low[0]:g}-{high[0]:g}" for low, high in KINDS_LWH)
 _SIZES = " and ".join(f"{w}x{h} ({pair})" for pair, (w, h) in SIZES.items())
-_INTRODUCTION = f"""# How exact are labels from masks?
+_INTRODUCTION = f"""# Labels from masks of solid boxes
 
-Measured on solid boxes, whose exact label is known. In the scene of each recording (its calibration, its road mask)
-random boxes are put on the road, spread evenly over its metres, one third each of the size of cars, vans and lorries
-({_LENGTHS} m long), aligned with the direction of travel. Those wholly inside the frame and the
-rectified image are kept. Each is drawn as a mask in the frame (a pixel is set if the box covers its centre), the mask
-is rectified and labelled as in real use, and the label is compared with the one computed from the eight projected
-corners. Sizes of the rectified image: {_SIZES}.
+Solid boxes have an exact label, so the error of the way from a mask to a label can be measured on
+them. In the geometry of each recording (its calibration, its road mask) random boxes are put on the
+road, spread evenly over its metres, one third each of the size of cars, vans and lorries
+({_LENGTHS} m long), aligned with the direction of travel. Those wholly inside the
+frame and the rectified picture are kept. Each is drawn as a mask in the frame (a pixel is set if the
+box covers its centre), the mask is labelled as in real use, and the label is compared with the one
+computed from the eight projected corners. Sizes: {_SIZES}.
 
 - **c_c error** is |c_c from the mask - exact c_c|; c_c itself runs from 0 to 1.
-- **box error** is the greatest error among a box's four sides, rectified px. Half a pixel of the frame is part of it:
-  at the far end of a VP1-VP2 picture a frame pixel is more than a pixel high.
-- **wider** is the published rule: of the two candidates the one that gives the wider box. **conditioned** weights the
-  two by how little a shift of the tangent point moves them.
-- **hull** (what labelgen does) rectifies the convex hull of the mask's pixels, so that nothing is rounded to the
-  rectified grid; **pixels** (the published method) rectifies the mask itself and outlines what comes out.
-- **no label** counts boxes left out because no label exists for them: VPU lies between their top and bottom, so
-  decoding calls them invalid (session5_left, where the point below the camera is all but in the picture). They are
-  not part of n.
+- **box error** is the greatest error among a box's four sides, rectified px. Half a pixel of the frame
+  is part of it: at the far end of a VP1-VP2 picture a frame pixel is more than a pixel high.
+- **wider** is the published rule: of the two candidates the one that gives the wider box.
+  **conditioned** weights the two by how little a shift of the tangent point moves them.
+- **hull** (labelgen) rectifies the convex hull of the mask's pixels, so that nothing is rounded to the
+  rectified grid; **pixels** (the published method) rectifies the mask itself.
+- **no label** counts boxes that have no label: VPU lies between their top and bottom, so decoding calls
+  them invalid. They are not part of n.
+- **within its bound** asks for a median c_c error of at most {MEDIAN_BOUND} by `wider`, and a 99th
+  percentile of at most {P99_BOUND} by `conditioned`.
 
-Asked for in every scene: median c_c error <= {MEDIAN_BOUND} by `wider`, 99th percentile <= {P99_BOUND} by
-`conditioned`.
-
-Real vehicles are not boxes: rounded bonnets, sloping windscreens, mirrors and ragged masks move the tangents by more
-than a raster does. Which rule is better on vehicles is a question for the synthetic-traffic page, not for this one.
+Real vehicles are not boxes: [labels of drawn vehicles](synthetic-labels.md) and
+[of real cars' shapes](../results.md#labels-from-masks-of-real-cars-shapes) are worse by far.
 """
 
 

@@ -1,7 +1,7 @@
 """Speed errors of every variant, from exact masks of replayed traffic in real scenes.
 
     python -m tools.studies.speed_variants measure SESSION... --out FOLDER [--duration 300] [--fps 50]
-    python -m tools.studies.speed_variants write FOLDER docs/speed-variants.md
+    python -m tools.studies.speed_variants write FOLDER docs/studies/speed-variants.md
 
 The recorded traffic of a session is driven again by rendered vehicles (`labelgen synth session --scene --replay`), but
 only their masks are made, frame by frame, and nothing is drawn or encoded. Each variant turns the same masks into

@@ -1,6 +1,6 @@
 r"""How near labels from exact masks come to exact 3D boxes: rendered vehicles of every body type.
 
-    python -m tools.studies.vehicle_labels --out docs/synthetic-labels.md --pictures docs/pictures \
+    python -m tools.studies.vehicle_labels --out docs/studies/synthetic-labels.md --pictures docs/pictures \
         [--real DIR] [--count 4]
 
 Every vehicle stands alone and wholly inside the picture, so that what is measured is the method's own error: real
@@ -231,15 +231,17 @@ def page(cases: list[Case], scenes: int, real: int) -> str:
     """The Markdown page."""
     kinds = [*BODY_TYPES, "box"]
     parts = [
-        "# How exact are labels from masks of real shapes?\n",
-        "Made by `python -m tools.studies.vehicle_labels`. Rendered vehicles, each alone and wholly inside the "
-        f"picture, in {scenes} made-up and {real} real camera geometries, towards and away from the camera. "
-        "The mask is exact; its "
-        "label is compared with the one encoded from the body's exact 3D box (without mirrors).\n",
-        "IoU is that of the 2D boxes, with its 5th and 1st percentiles (lower is worse); then |c_c error| with its "
-        "95th and 99th percentiles for both rules, and the mean error with its sign. A height stands for boxes within "
-        "a factor of the square root of 2. `box` is a plain cuboid: what is left there is the raster's error alone. "
-        f"Rows of fewer than {_FEWEST} vehicles are left out.\n",
+        "# Labels from masks of drawn vehicles\n",
+        "Rendered vehicles, each alone and wholly inside the picture,\n"
+        f"in {scenes} made-up and {real} real camera geometries, towards and away from the camera. The mask is\n"
+        "exact; its label is compared with the one encoded from the body's exact 3D box (without mirrors).\n"
+        "Made by `python -m tools.studies.vehicle_labels`.\n",
+        "- **IoU** is that of the 2D boxes, with its 5th and 1st percentiles (lower is worse).\n"
+        "- Then |c_c error| with its 95th and 99th percentiles for both rules, and the mean error with its\n"
+        "  sign (**bias**).\n"
+        "- A height stands for boxes within a factor of the square root of 2.\n"
+        "- **box** is a plain cuboid: what is left there is the raster's error alone.\n"
+        f"- Rows of fewer than {_FEWEST} vehicles are left out.\n",
     ]
     vehicles = [c for c in cases if c.kind != "box"]
     for pair, size in PAIRS.items():
@@ -293,7 +295,7 @@ def _real_scenes(root: Path) -> list[Scene]:
 
 
 def main(
-    out: Annotated[Path, typer.Option("--out", help="The page, Markdown.")] = Path("synthetic-labels.md"),
+    out: Annotated[Path, typer.Option("--out", help="The page, Markdown.")] = Path("docs/studies/synthetic-labels.md"),
     pictures: Annotated[Path | None, typer.Option("--pictures", help="Folder for pictures of the worst.")] = None,
     real: Annotated[Path | None, typer.Option("--real", help="Real data, for more camera geometries.")] = None,
     count: Annotated[int, typer.Option(min=1, help="Vehicles per scene, body type, pair and height.")] = 4,

@@ -227,7 +227,7 @@ def test_touching_and_cut_vehicles_are_flagged(labelgen, clip: Path, tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "least"), [("city_road_640x360.mp4", 500), ("freeway_320x240.avi", 150)])
 def test_real_videos_with_background_masks(labelgen, real_data: Path, tmp_path: Path, name: str, least: int) -> None:
-    """A floor well under what was counted by eye (docs/labels.md), to notice when it breaks."""
+    """A floor well under what was counted by eye, to notice when it breaks."""
     report = _run(labelgen, tmp_path / "out", real_data / "videos" / name, "--masks", "background", "--every", 10)
     assert report["labels"] >= least
     for sample in ShardDataset([tmp_path / "out"]):
