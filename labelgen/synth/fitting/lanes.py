@@ -183,11 +183,11 @@ def _borders(span_y: tuple[float, float], paint: Array, at: Array, centres: Arra
     edges = np.arange(start - width * np.floor((start - low) / width), high + 0.01, width)
     edges = np.unique(np.round(np.r_[edges[0] - width, edges, edges[-1] + width], 4))
     # A lane must lie in the mask for the most part.
-    kept = [k for k in range(len(edges) - 1) if min(edges[k + 1], high) - max(edges[k], low) > 0.75 * width]
-    if not kept:
+    inside = [k for k in range(len(edges) - 1) if min(edges[k + 1], high) - max(edges[k], low) > 0.75 * width]
+    if not inside:
         middle = (low + high) / 2
         return np.array([middle - width / 2, middle + width / 2])
-    edges = edges[kept[0] : kept[-1] + 2]
+    edges = edges[inside[0] : inside[-1] + 2]
     for k, edge in enumerate(edges):
         near = np.abs(centres - edge) <= thresholds.snap_m
         if near.any() and soft[near].max() > 2.5 * soft.mean():

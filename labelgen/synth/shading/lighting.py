@@ -114,8 +114,8 @@ class Light:
         """Return radiance (..., 3) after its way through the air over a distance (..., 1) in metres."""
         if not self.haze_per_m:
             return radiance
-        kept = np.exp(np.float32(-self.haze_per_m) * distance_m)
-        return radiance * kept + self.air.astype(np.float32) * (1 - kept)
+        transmitted = np.exp(np.float32(-self.haze_per_m) * distance_m)
+        return radiance * transmitted + self.air.astype(np.float32) * (1 - transmitted)
 
     def grey_levels(self, radiance: Any) -> NDArray[np.float32]:
         """Return the camera's grey levels (..., 3) float32, 0 to 255, of radiance (..., 3), both RGB."""

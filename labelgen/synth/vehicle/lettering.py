@@ -9,7 +9,7 @@ from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.texture import Colour, Texture
 
-__all__ = ["TRADES", "company_name", "ink", "letter_cargo", "letter_van", "telephone"]
+__all__ = ["TRADES", "company_name", "letter_cargo", "letter_colour", "letter_van", "telephone"]
 
 # Both sides of a vehicle show one drawing, mirrored on the right: these letters and digits are symmetric.
 _DIGITS = "018"
@@ -29,7 +29,7 @@ def telephone(rng: np.random.Generator, digits: str = "0123456789") -> str:
     return " ".join("".join(rng.choice(list(digits), 3)) for _ in range(3))
 
 
-def ink(rng: np.random.Generator) -> Colour:
+def letter_colour(rng: np.random.Generator) -> Colour:
     """Sample a faded colour for letters and bands."""
     bright = rng.uniform(0.01, 0.6, 3) ** 1.3
     red, green, blue = (0.4 * bright + 0.6 * bright.mean()).tolist()
@@ -43,10 +43,10 @@ def letter_cargo(texture: Texture, shape: Shape, start: float, rng: np.random.Ge
         return
     _, low, high = shape.cargo
     tall, long = high - low, shape.length - start
-    colour, left = ink(rng), start + rng.uniform(0.08, 0.3) * long
+    colour, left = letter_colour(rng), start + rng.uniform(0.08, 0.3) * long
     if rng.random() < 0.4:
         band = (start, low + 0.1), (shape.length, low + rng.uniform(0.25, 0.5) * tall)
-        texture.rectangle(Chart.SIDE, *band, ink(rng), PAINT)
+        texture.rectangle(Chart.SIDE, *band, letter_colour(rng), PAINT)
     base, size = low + rng.uniform(0.4, 0.6) * tall, rng.uniform(0.12, 0.28) * tall
     name = company_name(rng)
     size = min(size, 0.9 * (shape.length - 0.3 - left) / len(name))
@@ -71,7 +71,7 @@ def letter_van(texture: Texture, shape: Shape, first: float, rng: np.random.Gene
         first: d, metres, where its side windows end.
         rng: gives the texts and their places.
     """
-    colour, name = ink(rng), company_name(rng)
+    colour, name = letter_colour(rng), company_name(rng)
     size = min(rng.uniform(0.2, 0.4), 0.7 / len(name))
     texture.text(Chart.REAR, (-0.75, 0.85), name, size, colour, PAINT)
     texture.text(Chart.REAR, (0.12, 0.80), telephone(rng), 0.07, colour, PAINT)
@@ -80,7 +80,7 @@ def letter_van(texture: Texture, shape: Shape, first: float, rng: np.random.Gene
         return
     if rng.random() < 0.3:  # above the wheels' arches
         edge = [(first, 0.86), (shape.length, 0.86), (shape.length, shape.belt + 0.1)]
-        texture.polygon(Chart.SIDE, edge, ink(rng), PAINT)
+        texture.polygon(Chart.SIDE, edge, letter_colour(rng), PAINT)
     size = min(rng.uniform(0.2, 0.4), 0.85 * room / len(name))
     base = shape.belt + rng.uniform(0.1, 0.35)
     texture.text(Chart.SIDE, (first + 0.1 * room, base), name, size, colour, PAINT)

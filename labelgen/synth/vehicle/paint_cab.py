@@ -8,8 +8,18 @@ from labelgen.synth.shading.materials import GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.vehicle.body_mesh import cabin_edge
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart
-from labelgen.synth.vehicle.paint_interior import OnScreen, behind_windscreen, on_screen
-from labelgen.synth.vehicle.parts import BLACK, CHROME_TONE, GLOW, TRIM, Style, gleam, mirrored, pane, plate
+from labelgen.synth.vehicle.paint_interior import ScreenMap, draw_behind_windscreen, screen_coordinates
+from labelgen.synth.vehicle.parts import (
+    BLACK,
+    CHROME_TONE,
+    GLOW,
+    TRIM,
+    Style,
+    draw_plate,
+    draw_sky_reflection,
+    draw_window,
+    mirrored,
+)
 from labelgen.synth.vehicle.texture import Colour, Texture, dim, rounded
 
 __all__ = ["draw_bus_front", "draw_cab_front"]
@@ -64,7 +74,7 @@ def draw_cab_front(
         visor = [(-edge, z - 0.02), (edge, z - 0.02), (edge, z + 0.13), (-edge, z + 0.13)]
         texture.polygon(Chart.FRONT, visor, (0.02, 0.02, 0.021), GLASS)
         texture.emboss(Chart.FRONT, visor, 0.03, soft=True)
-    plate(texture, Chart.FRONT, (0, 0.50), style.plate, rng)
+    draw_plate(texture, Chart.FRONT, (0, 0.50), style.plate, rng)
 
 
 def draw_bus_front(
@@ -85,7 +95,7 @@ def draw_bus_front(
         _lamp(texture, points, half, side, lamps)
     texture.circle(Chart.FRONT, (0, bumper + 0.16), 0.07, dim(CHROME_TONE, 0.7), LAMP)
     _screen(texture, shape, style, (foot, shape.height - 0.42), rng)
-    plate(texture, Chart.FRONT, (0, 0.5), style.plate, rng)
+    draw_plate(texture, Chart.FRONT, (0, 0.5), style.plate, rng)
 
 
 def _screen(
@@ -94,18 +104,20 @@ def _screen(
     half, (low, high) = shape.width / 2, heights
     foot, head = (cabin_edge(shape, half, z) - 0.05 for z in heights)
     ring = [(-foot, low), (foot, low), (head, high), (-head, high)]
-    inner = pane(texture, Chart.FRONT, ring, style.glass, rim=0.97)
-    inside = on_screen([(0.95 * y, low + 0.04) for y in (-foot, foot)], [(0.95 * y, high) for y in (-head, head)])
+    inner = draw_window(texture, Chart.FRONT, ring, style.glass, rim=0.97)
+    inside = screen_coordinates(
+        [(0.95 * y, low + 0.04) for y in (-foot, foot)], [(0.95 * y, high) for y in (-head, head)]
+    )
     # A cab has a wall behind its seats; a bus is long and dark inside.
-    behind_windscreen(texture, Chart.FRONT, inside, style.glass, 0.5 * style.clear, rng)
+    draw_behind_windscreen(texture, Chart.FRONT, inside, style.glass, 0.5 * style.clear, rng)
     _trim(texture, inside, rng)
     for at in (-0.5, 0.1):
         wiper = inside([(at + 0.5, 0.0), (at, 0.05 + 0.03 * rng.random())])
         texture.line(Chart.FRONT, wiper, BLACK, MATTE, 0.03)
-    gleam(texture, Chart.FRONT, inner, rng, rng.uniform(0.5, 1.1))
+    draw_sky_reflection(texture, Chart.FRONT, inner, rng, rng.uniform(0.5, 1.1))
 
 
-def _trim(texture: Texture, inside: OnScreen, rng: np.random.Generator) -> None:
+def _trim(texture: Texture, inside: ScreenMap, rng: np.random.Generator) -> None:
     """Paint curtains, a visor folded down, cards and pennants behind the screen."""
     level = rng.uniform(0.02, 0.16)
     cloth: Colour = (level, level * rng.uniform(0.6, 1.0), level * rng.uniform(0.5, 1.0))

@@ -6,9 +6,9 @@ import numpy as np
 
 from labelgen.synth.shading.materials import GLASS, LAMP, LIT, MATTE, PAINT
 from labelgen.synth.vehicle.body_types import Shape
-from labelgen.synth.vehicle.lettering import TRADES, company_name, ink, letter_cargo, telephone
+from labelgen.synth.vehicle.lettering import TRADES, company_name, letter_cargo, letter_colour, telephone
 from labelgen.synth.vehicle.mesh import Chart
-from labelgen.synth.vehicle.parts import BLACK, TRIM, Style, gleam, pane, plate
+from labelgen.synth.vehicle.parts import BLACK, TRIM, Style, draw_plate, draw_sky_reflection, draw_window
 from labelgen.synth.vehicle.texture import Colour, Texture, dim, rounded
 
 __all__ = ["draw_bus", "draw_bus_rear", "draw_cargo"]
@@ -70,7 +70,7 @@ def draw_cargo(
     worn = rng.uniform(0.08, 0.4)
     _weather_walls(texture, worn, rng)
     texture.weather(Chart.TOP, 0.0, worn, rng)
-    plate(texture, Chart.REAR, (0, 0.55), style.plate, rng)
+    draw_plate(texture, Chart.REAR, (0, 0.55), style.plate, rng)
 
 
 def _weather_walls(texture: Texture, worn: float, rng: np.random.Generator) -> None:
@@ -141,13 +141,15 @@ def draw_bus(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: n
     if rng.random() < 0.5:  # a band that rises to the rear
         at, tall = rng.uniform(0.5, 0.75) * shape.length, rng.uniform(0.12, 0.3)
         ring = [(0, edge), (at, edge), (at + 1.6, shape.belt), (at + 2.6, shape.belt), (at + 1.2, edge + tall)]
-        texture.polygon(Chart.SIDE, [*ring, (0, edge + tall)], _faded_ink(paint, rng), PAINT)
+        texture.polygon(Chart.SIDE, [*ring, (0, edge + tall)], _faded_colour(paint, rng), PAINT)
     if rng.random() < 0.65:  # an advertisement
         left, right = rng.uniform(3.0, 4.5), shape.length - rng.uniform(0.5, 3.0)
-        texture.rectangle(Chart.SIDE, (left, edge + 0.03), (right, shape.belt - 0.1), _faded_ink(paint, rng), PAINT)
+        texture.rectangle(Chart.SIDE, (left, edge + 0.03), (right, shape.belt - 0.1), _faded_colour(paint, rng), PAINT)
         for at in np.arange(left + 0.2, right - 1.0, 1.6).tolist():
             if rng.random() < 0.7:
-                texture.text(Chart.SIDE, (at, edge + rng.uniform(0.08, 0.2)), company_name(rng), 0.2, ink(rng), PAINT)
+                texture.text(
+                    Chart.SIDE, (at, edge + rng.uniform(0.08, 0.2)), company_name(rng), 0.2, letter_colour(rng), PAINT
+                )
     for d in np.arange(1.2, shape.length - 0.5, 1.25).tolist():
         texture.groove(Chart.SIDE, [(d, foot), (d, edge)], 0.006)
         texture.line(Chart.SIDE, [(d, foot + 0.05), (d, edge)], dim(skirt, 0.7), PAINT)
@@ -173,9 +175,9 @@ def draw_bus(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: n
     _bus_roof(texture, shape, paint, rng)
 
 
-def _faded_ink(paint: Colour, rng: np.random.Generator) -> Colour:
+def _faded_colour(paint: Colour, rng: np.random.Generator) -> Colour:
     """Sample a colour for bands and letters that is close to a bus's own."""
-    red, green, blue = (0.35 * np.array(ink(rng)) + rng.uniform(0.25, 0.6) * np.array(paint)).tolist()
+    red, green, blue = (0.35 * np.array(letter_colour(rng)) + rng.uniform(0.25, 0.6) * np.array(paint)).tolist()
     return red, green, blue
 
 
@@ -266,18 +268,18 @@ def _advertisement(texture: Texture, place: tuple[float, float, float], rng: np.
     half, low, high = place
     if high - low < 0.3:
         return
-    texture.rectangle(Chart.REAR, (-half, low), (half, high), ink(rng), PAINT)
+    texture.rectangle(Chart.REAR, (-half, low), (half, high), letter_colour(rng), PAINT)
     y, z = rng.uniform(-0.6, 0.6) * half, rng.uniform(low, high)
     reach = min(high - z, z - low) + 0.1
     ring = np.stack(
         [y + 0.5 * half * np.cos(np.arange(12) * np.pi / 6), z + reach * np.sin(np.arange(12) * np.pi / 6)], 1
     )
-    texture.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), ink(rng), PAINT)
+    texture.polygon(Chart.REAR, ring.clip([-half, low], [half, high]), letter_colour(rng), PAINT)
     size = rng.uniform(0.07, 0.13)
     for line in np.arange(low + 0.06, high - size, 1.6 * size).tolist():
         words = f"{company_name(rng)} {rng.choice(TRADES)}" if rng.random() < 0.6 else telephone(rng)
         small = min(size, 1.6 * half / len(words))
-        texture.text(Chart.REAR, (-0.85 * half, line), words, small, ink(rng), PAINT)
+        texture.text(Chart.REAR, (-0.85 * half, line), words, small, letter_colour(rng), PAINT)
 
 
 def draw_bus_rear(
@@ -287,18 +289,18 @@ def draw_bus_rear(
     half, high, braking = shape.width / 2, shape.height, bool(rng.random() < 0.1)
     bumper = shape.clearance + rng.uniform(0.28, 0.4)
     if rng.random() < 0.5:  # a lower part in a tone of its own
-        texture.rectangle(Chart.REAR, (-half, 0), (half, rng.uniform(0.9, 1.3)), _faded_ink(paint, rng), PAINT)
+        texture.rectangle(Chart.REAR, (-half, 0), (half, rng.uniform(0.9, 1.3)), _faded_colour(paint, rng), PAINT)
     texture.rectangle(Chart.REAR, (-half, 0), (half, bumper), dim(paint, 0.4) if rng.random() < 0.5 else TRIM, MATTE)
     texture.groove(Chart.REAR, [(-half, bumper), (half, bumper)])
     texture.shadow(Chart.REAR, [(-half, bumper), (half, bumper)], 0.4, 0.05)
     low, top = rng.uniform(1.65, 1.95), high - rng.uniform(0.55, 0.75)
     ring = [(-0.80 * half, low), (0.80 * half, low), (0.74 * half, top), (-0.74 * half, top)]
-    inner = pane(texture, Chart.REAR, ring, style.rear_glass)
+    inner = draw_window(texture, Chart.REAR, ring, style.rear_glass)
     for y in np.linspace(-0.55, 0.55, 5).tolist():  # the last row of seats
         tone = rng.uniform(0.015, 0.05)
         back = [(y * half - 0.17, low + 0.08), (y * half + 0.17, low + 0.08), (y * half + 0.13, low + 0.3)]
         texture.polygon(Chart.REAR, [*back, (y * half - 0.13, low + 0.3)], (tone, tone, 1.1 * tone), GLASS)
-    gleam(texture, Chart.REAR, inner, rng, 0.6)
+    draw_sky_reflection(texture, Chart.REAR, inner, rng, 0.6)
     if rng.random() < 0.75:
         _sign(texture, Chart.REAR, rng.uniform(-0.3, 0.3), top + 0.08, rng.uniform(0.3, 0.7), rng)
     for z in (low - 0.1, 0.5 * (bumper + low) - 0.1):  # the cover's and the lid's gaps
@@ -326,4 +328,4 @@ def draw_bus_rear(
             texture.circle(Chart.REAR, (y, bumper + 0.17 + 0.18 * k), 0.075, colour, LIT if shines else LAMP)
         texture.rectangle(Chart.REAR, (y - 0.07, high - 0.3), (y + 0.07, high - 0.26), red, LAMP)
     texture.fade(Chart.REAR, [(-half, 0), (half, 0), (half, low), (-half, low)], _GRIME, (0.0, 0.4))
-    plate(texture, Chart.REAR, (0, bumper + 0.1), style.plate, rng)
+    draw_plate(texture, Chart.REAR, (0, bumper + 0.1), style.plate, rng)

@@ -13,7 +13,7 @@ from labelgen.synth.vehicle.body_mesh import END_M, cabin_edge, face_edge, setba
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.front_designs import FrontDesign, Opening
 from labelgen.synth.vehicle.mesh import Chart
-from labelgen.synth.vehicle.paint_interior import behind_windscreen, on_screen
+from labelgen.synth.vehicle.paint_interior import draw_behind_windscreen, screen_coordinates
 from labelgen.synth.vehicle.parts import (
     CHROME_TONE,
     GLOW,
@@ -22,12 +22,12 @@ from labelgen.synth.vehicle.parts import (
     SKY,
     TRIM,
     Style,
-    bowl,
-    gleam,
+    draw_dashboard_reflection,
+    draw_plate,
+    draw_reflector,
+    draw_sky_reflection,
+    draw_window,
     mirrored,
-    pane,
-    plate,
-    veil,
 )
 from labelgen.synth.vehicle.texture import Colour, Texture, dim, rounded
 
@@ -75,12 +75,12 @@ def draw_front(
         MATTE,
     )
     _windscreen(texture, shape, style, rng)
-    _mouths(texture, face, design, paint, rng)
+    _openings(texture, face, design, paint, rng)
     _head_lamps(texture, shape, face, design, float(np.mean(paint)), rng, lamps)
     edge = face.at([(-0.62, 0.97), (-0.3, 0.995), (0.3, 0.995), (0.62, 0.97)])
     texture.line(Chart.FRONT, edge, dim(paint, SEAM), PAINT, 0.012)
     texture.shadow(Chart.FRONT, edge, 0.15)
-    plate(texture, Chart.FRONT, (0, face.z(design.plate + rng.uniform(-0.03, 0.03))), style.plate, rng)
+    draw_plate(texture, Chart.FRONT, (0, face.z(design.plate + rng.uniform(-0.03, 0.03))), style.plate, rng)
 
 
 def _sheet_metal(texture: Texture, face: _Face, rng: np.random.Generator) -> None:
@@ -102,14 +102,16 @@ def _windscreen(texture: Texture, shape: Shape, style: Style, rng: np.random.Gen
     foot, head = shape.cowl[1], shape.roof_front[1] - 0.03
     low, high = cabin_edge(shape, half, foot) - 0.06, cabin_edge(shape, half, head) - 0.08
     ring = [(-low, foot), (low, foot), (high, head), (-high, head)]
-    inner = pane(texture, Chart.FRONT, ring, style.glass)
-    placed = on_screen([(0.95 * y, foot + 0.03) for y in (-low, low)], [(y, head - 0.03) for y in (-high, high)])
-    behind_windscreen(texture, Chart.FRONT, placed, style.glass, style.clear, rng)
-    gleam(texture, Chart.FRONT, inner, rng, rng.uniform(0.4, 0.9))
-    veil(texture, Chart.FRONT, inner, rng)
+    inner = draw_window(texture, Chart.FRONT, ring, style.glass)
+    placed = screen_coordinates(
+        [(0.95 * y, foot + 0.03) for y in (-low, low)], [(y, head - 0.03) for y in (-high, high)]
+    )
+    draw_behind_windscreen(texture, Chart.FRONT, placed, style.glass, style.clear, rng)
+    draw_sky_reflection(texture, Chart.FRONT, inner, rng, rng.uniform(0.4, 0.9))
+    draw_dashboard_reflection(texture, Chart.FRONT, inner, rng)
 
 
-def _mouths(texture: Texture, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
+def _openings(texture: Texture, face: _Face, design: FrontDesign, paint: Colour, rng: np.random.Generator) -> None:
     """Paint grille, intakes, the bumper's corners, chrome and the badge."""
     # Some light enters the openings; their bars differ little from what lies behind.
     hollow = rng.uniform(0.012, 0.034)
@@ -179,7 +181,9 @@ def _fog_lamps(texture: Texture, face: _Face, design: FrontDesign) -> None:
     for side in (-1, 1):
         for y, t, radius in design.fog:
             centre = face.at([(y, t)], side)[0]
-            bowl(texture, Chart.FRONT, centre, radius, (dim(_REFLECTOR, 0.75), (0.10, 0.10, 0.11), _REFLECTOR))
+            draw_reflector(
+                texture, Chart.FRONT, centre, radius, (dim(_REFLECTOR, 0.75), (0.10, 0.10, 0.11), _REFLECTOR)
+            )
 
 
 def _badge(texture: Texture, face: _Face, design: FrontDesign, bright: Colour, rng: np.random.Generator) -> None:
@@ -230,7 +234,7 @@ def _head_lamps(
         for k, (y, t, radius) in enumerate(design.bowls):
             centre = face.at([(y, t)], side)[0]
             inside = dim(silver, 0.22 if black else 0.45)
-            bowl(texture, Chart.FRONT, centre, radius, (dim(silver, 0.7), inside, dim(silver, 1.2)))
+            draw_reflector(texture, Chart.FRONT, centre, radius, (dim(silver, 0.7), inside, dim(silver, 1.2)))
             if lamps and k == 0:
                 texture.circle(Chart.FRONT, centre.tolist(), 1.05 * radius, GLOW, LIT)
         for strip in design.strips:

@@ -11,8 +11,19 @@ from labelgen.synth.shading.materials import CHROME, GLASS, LAMP, LIT, MATTE, PA
 from labelgen.synth.vehicle.body_mesh import cabin_edge, setback, shell_end
 from labelgen.synth.vehicle.body_types import Shape
 from labelgen.synth.vehicle.mesh import Chart
-from labelgen.synth.vehicle.paint_interior import behind_rear_screen, on_screen
-from labelgen.synth.vehicle.parts import BLACK, CHROME_TONE, SEAM, TRIM, Style, bowl, gleam, mirrored, pane, plate
+from labelgen.synth.vehicle.paint_interior import draw_behind_rear_window, screen_coordinates
+from labelgen.synth.vehicle.parts import (
+    BLACK,
+    CHROME_TONE,
+    SEAM,
+    TRIM,
+    Style,
+    draw_plate,
+    draw_reflector,
+    draw_sky_reflection,
+    draw_window,
+    mirrored,
+)
 from labelgen.synth.vehicle.texture import Colour, Texture, dim, rounded
 
 __all__ = ["draw_rear"]
@@ -53,7 +64,7 @@ def draw_rear(
     if rng.random() < 0.5:
         tone = dim(CHROME_TONE, 0.8) if style.chrome or rng.random() < 0.5 else dim(paint, 0.5)
         texture.rectangle(Chart.REAR, (-0.34, z + 0.085), (0.34, z + 0.11), tone, LAMP)
-    plate(texture, Chart.REAR, (0, z), style.plate, rng)
+    draw_plate(texture, Chart.REAR, (0, z), style.plate, rng)
 
 
 def _bumper(
@@ -118,10 +129,10 @@ def _rear_doors(texture: Texture, shape: Shape, style: Style, seam: Colour, rng:
     kind = int(rng.choice(3, p=[0.35, 0.35, 0.3]))  # without windows, with two, one wide window
     if kind == 2:
         ring = [(-0.80, 1.30), (0.80, 1.30), (0.72, high - 0.38), (-0.72, high - 0.38)]
-        inner = pane(texture, Chart.REAR, ring, style.rear_glass)
-        placed = on_screen([(0.76, 1.34), (-0.76, 1.34)], [(0.70, high - 0.42), (-0.70, high - 0.42)])
-        behind_rear_screen(texture, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
-        gleam(texture, Chart.REAR, inner, rng, 0.4)
+        inner = draw_window(texture, Chart.REAR, ring, style.rear_glass)
+        placed = screen_coordinates([(0.76, 1.34), (-0.76, 1.34)], [(0.70, high - 0.42), (-0.70, high - 0.42)])
+        draw_behind_rear_window(texture, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
+        draw_sky_reflection(texture, Chart.REAR, inner, rng, 0.4)
         texture.line(Chart.REAR, [(0.0, 1.32), (0.42, 1.42)], BLACK, MATTE, 0.02)
     else:
         middle = [(0, high - 0.12), (0, 0.45)]
@@ -152,7 +163,7 @@ def _rear_doors(texture: Texture, shape: Shape, style: Style, seam: Colour, rng:
 
 def _door_pane(texture: Texture, ring: Any, style: Style, rng: np.random.Generator) -> None:
     """Paint a window in a van's door with film, a grille or the load behind it."""
-    inner = pane(texture, Chart.REAR, ring, style.rear_glass, rim=0.92)
+    inner = draw_window(texture, Chart.REAR, ring, style.rear_glass, rim=0.92)
     low, high = inner.min(axis=0), inner.max(axis=0)
     behind = int(rng.choice(3, p=[0.4, 0.25, 0.35]))
     if behind == 1:
@@ -171,10 +182,12 @@ def _rear_screen(texture: Texture, shape: Shape, style: Style, braking: bool, rn
     low, high = shape.rear_window[1] + 0.03, shape.roof_rear[1] - 0.05
     y0, y1 = cabin_edge(shape, half, low) - 0.08, cabin_edge(shape, half, high) - 0.08
     ring = [(-y0, low), (y0, low), (y1, high), (-y1, high)]
-    inner = pane(texture, Chart.REAR, ring, style.rear_glass, rim=0.93)
-    placed = on_screen([(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)])
-    behind_rear_screen(texture, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
-    gleam(texture, Chart.REAR, inner, rng, 0.12 + 0.2 * style.rear_clear)
+    inner = draw_window(texture, Chart.REAR, ring, style.rear_glass, rim=0.93)
+    placed = screen_coordinates(
+        [(0.94 * y0, low + 0.03), (-0.94 * y0, low + 0.03)], [(y1, high - 0.03), (-y1, high - 0.03)]
+    )
+    draw_behind_rear_window(texture, Chart.REAR, placed, style.rear_glass, style.rear_clear, rng)
+    draw_sky_reflection(texture, Chart.REAR, inner, rng, 0.12 + 0.2 * style.rear_clear)
     texture.line(Chart.REAR, ring[:2], BLACK, GLASS, 0.05)
     if shape.kind != "saloon" and rng.random() < 0.6:
         wiper = [(0.0, low + 0.01), (0.35, low + 0.09)]
@@ -218,7 +231,7 @@ def _tail_lamps(
                 texture.polygon(Chart.REAR, rounded(at(field, side), 0.08), colour, LAMP)
         for y, down, radius in design.bowls:
             centre = at([(y, down)], side)[0]
-            bowl(texture, Chart.REAR, centre, radius, (dim(unlit, 0.4), dim(unlit, 1.7), dim(unlit, 2.2)))
+            draw_reflector(texture, Chart.REAR, centre, radius, (dim(unlit, 0.4), dim(unlit, 1.7), dim(unlit, 2.2)))
         for strip in design.strips:
             texture.line(Chart.REAR, at(strip, side), dim(unlit, 1.9), LAMP, 0.018)
         if lamps or braking:
@@ -236,5 +249,5 @@ def _tail_lamps(
     reach = end + float(setback(shape, end, 0.95 * half)) - 0.16
     above = top + max(-min(down for _, down in design.outline), 0.0) * tall
     below = top - max(down for _, down in design.outline) * tall
-    seen = [(end, below), (reach + 0.05, below + 0.15 * tall), (reach, above - 0.04), (end, above)]
-    texture.polygon(Chart.SIDE, seen, dim(unlit, 0.8), LAMP)
+    side_view = [(end, below), (reach + 0.05, below + 0.15 * tall), (reach, above - 0.04), (end, above)]
+    texture.polygon(Chart.SIDE, side_view, dim(unlit, 0.8), LAMP)

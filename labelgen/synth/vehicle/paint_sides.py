@@ -19,7 +19,12 @@ from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.paint_cab import draw_bus_front, draw_cab_front
 from labelgen.synth.vehicle.paint_cargo import draw_bus, draw_bus_rear, draw_cargo
 from labelgen.synth.vehicle.paint_front import draw_front
-from labelgen.synth.vehicle.paint_interior import OnScreen, behind_rear_screen, behind_windscreen, on_screen
+from labelgen.synth.vehicle.paint_interior import (
+    ScreenMap,
+    draw_behind_rear_window,
+    draw_behind_windscreen,
+    screen_coordinates,
+)
 from labelgen.synth.vehicle.paint_rear import draw_rear
 from labelgen.synth.vehicle.parts import (
     BLACK,
@@ -28,11 +33,11 @@ from labelgen.synth.vehicle.parts import (
     SILL,
     TRIM,
     Style,
+    draw_dashboard_reflection,
+    draw_sky_reflection,
     draw_wheels,
-    gleam,
-    pane,
+    draw_window,
     sample_style,
-    veil,
 )
 from labelgen.synth.vehicle.texture import Colour, Texture, dim
 
@@ -233,13 +238,13 @@ def _draw_top(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: 
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         texture.bow(Chart.TOP, crown, (0.03, rng.uniform(0.02, 0.12)))
     ring, placed = _top_pane(texture, shape, style.glass, shape.cowl, shape.roof_front, 0.04)
-    behind_windscreen(texture, Chart.TOP, placed, style.glass, style.clear, rng)
-    gleam(texture, Chart.TOP, ring, rng)
-    veil(texture, Chart.TOP, ring, rng)
+    draw_behind_windscreen(texture, Chart.TOP, placed, style.glass, style.clear, rng)
+    draw_sky_reflection(texture, Chart.TOP, ring, rng)
+    draw_dashboard_reflection(texture, Chart.TOP, ring, rng)
     if shape.kind not in ("van", "bus") and shape.cargo is None:
         ring, placed = _top_pane(texture, shape, style.rear_glass, shape.rear_window, shape.roof_rear, 0.12)
-        behind_rear_screen(texture, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
-        gleam(texture, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
+        draw_behind_rear_window(texture, Chart.TOP, placed, style.rear_glass, style.rear_clear, rng)
+        draw_sky_reflection(texture, Chart.TOP, ring, rng, 0.12 + 0.2 * style.rear_clear)
         texture.line(Chart.TOP, ring[: len(ring) // 2], BLACK, GLASS, 0.05)
     if shape.cowl[0] > 0.6:
         _bonnet(texture, shape, half, seam, rng)
@@ -258,7 +263,12 @@ def _draw_top(texture: Texture, shape: Shape, paint: Colour, style: Style, rng: 
         long = 0.75 if sunroof < 0.09 else roof[1] - roof[0] - 0.3
         long *= rng.uniform(0.7, 1.0)
         ring = [(roof[0], -edge + 0.12), (roof[0] + long, -edge + 0.12), (roof[0] + long, edge - 0.12)]
-        gleam(texture, Chart.TOP, pane(texture, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)), rng)
+        draw_sky_reflection(
+            texture,
+            Chart.TOP,
+            draw_window(texture, Chart.TOP, [*ring, (roof[0], edge - 0.12)], (0.012, 0.013, 0.014)),
+            rng,
+        )
     if shape.kind == "van":
         for d in np.arange(roof[0] + 0.3, roof[1], 0.55).tolist():
             texture.emboss(Chart.TOP, [(d, -edge), (d + 0.2, -edge), (d + 0.2, edge), (d, edge)], 0.006, soft=True)
@@ -293,7 +303,7 @@ def _bed(texture: Texture, shape: Shape, rng: np.random.Generator) -> None:
 
 def _top_pane(
     texture: Texture, shape: Shape, glass: Colour, near: tuple[float, float], far: tuple[float, float], gap: float
-) -> tuple[Any, OnScreen]:
+) -> tuple[Any, ScreenMap]:
     """Paint the part of a windscreen or rear window that chart TOP shows.
 
     Returns:
@@ -308,11 +318,11 @@ def _top_pane(
     lower = np.stack([d0 + setback(shape, d0, y0), y0], axis=1)
     upper = np.stack([d1 + setback(shape, d1, y1), y1], axis=1)
     ring = np.concatenate([lower, upper[::-1]])
-    pane(texture, Chart.TOP, ring, glass, rim=0.93)
+    draw_window(texture, Chart.TOP, ring, glass, rim=0.93)
     middle = ring.mean(axis=0)
     inner = middle + 0.94 * (np.concatenate([lower, upper]) - middle)
     half_way = len(across)
-    return ring, on_screen(inner[:half_way][::-1], inner[half_way:][::-1])
+    return ring, screen_coordinates(inner[:half_way][::-1], inner[half_way:][::-1])
 
 
 def _bonnet(texture: Texture, shape: Shape, half: float, seam: Colour, rng: np.random.Generator) -> None:

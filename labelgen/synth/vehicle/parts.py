@@ -26,14 +26,14 @@ __all__ = [
     "SKY",
     "TRIM",
     "Style",
-    "bowl",
+    "draw_dashboard_reflection",
+    "draw_plate",
+    "draw_reflector",
+    "draw_sky_reflection",
     "draw_wheels",
-    "gleam",
+    "draw_window",
     "mirrored",
-    "pane",
-    "plate",
     "sample_style",
-    "veil",
 ]
 
 BLACK: Colour = (0.010, 0.010, 0.011)
@@ -136,7 +136,9 @@ def _toward(colour: Colour, other: Colour, share: float) -> Colour:
     return red, green, blue
 
 
-def plate(texture: Texture, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator) -> None:
+def draw_plate(
+    texture: Texture, chart: Chart, centre: tuple[float, float], family: int, rng: np.random.Generator
+) -> None:
     """Paint a number plate in its frame; `family` is an index into `PLATES`."""
     y, z = centre
     ground, ink, strip = _PLATES[family]
@@ -165,7 +167,9 @@ def plate(texture: Texture, chart: Chart, centre: tuple[float, float], family: i
     texture.fade(chart, recess, SKY, (rng.uniform(0.05, 0.25), 0.03))
 
 
-def pane(texture: Texture, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96) -> NDArray[np.float64]:
+def draw_window(
+    texture: Texture, chart: Chart, corners: Any, glass: Colour, *, rim: float = 0.96
+) -> NDArray[np.float64]:
     """Paint a window with rounded corners and a black rim; return the outline (N, 2) of its glass."""
     ring = np.asarray(corners, dtype=np.float64)
     smooth, middle = rounded(ring, 0.11), ring.mean(axis=0)
@@ -179,7 +183,7 @@ def pane(texture: Texture, chart: Chart, corners: Any, glass: Colour, *, rim: fl
     return np.asarray(inner)
 
 
-def veil(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
+def draw_dashboard_reflection(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator) -> None:
     """Paint the dashboard's reflection in a windscreen: a pale veil, mostly stronger at its foot."""
     points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.17)
     tone: Colour = (0.72 * level, level, 0.95 * level)
@@ -188,7 +192,9 @@ def veil(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator) ->
     texture.fade(chart, points, tone, shares[::-1] if chart is Chart.TOP else shares, level=chart is Chart.TOP)
 
 
-def gleam(texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5) -> None:
+def draw_sky_reflection(
+    texture: Texture, chart: Chart, ring: Any, rng: np.random.Generator, share: float = 0.5
+) -> None:
     """Paint the reflection of the sky on glass, which fades from its upper edge downwards.
 
     On chart TOP the ring starts with the window's lower edge.
@@ -231,7 +237,7 @@ def draw_wheels(texture: Texture, shape: Shape, rng: np.random.Generator) -> Non
         texture.circle(Chart.WHEEL, hub.tolist(), 0.16 * shape.wheel, rim, LAMP)
 
 
-def bowl(
+def draw_reflector(
     texture: Texture, chart: Chart, centre: NDArray[np.float64], radius: float, tones: tuple[Colour, Colour, Colour]
 ) -> None:
     """Paint a round reflector in three tones: its rim, its inside, and a highlight above its centre."""

@@ -225,8 +225,8 @@ class Texture:
         taken = streaks * cloud(0.12, 1.2) * cloud(0.6, 0.8) + blots * cloud(0.5, 0.4)
         dull = (view[..., 3] == PAINT) | (view[..., 3] == MATTE)
         # Colours are stored as square roots.
-        kept = np.where(dull, np.sqrt(np.clip(1 - taken, 0.1, 1)), 1)[..., None]
-        view[..., :3] = (view[..., :3] * kept).round()
+        factor = np.where(dull, np.sqrt(np.clip(1 - taken, 0.1, 1)), 1)[..., None]
+        view[..., :3] = (view[..., :3] * factor).round()
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:
@@ -239,9 +239,9 @@ class Texture:
             fine, soft = (plane[rows] for plane in self._relief)
             bows = self._bows[:, rows]
             if self._dark[rows].any():
-                kept = 1 - cv2.blur(self._dark[rows], (_SOFT_SHADOW_PX, _SOFT_SHADOW_PX)) / np.float32(255)
+                factor = 1 - cv2.blur(self._dark[rows], (_SOFT_SHADOW_PX, _SOFT_SHADOW_PX)) / np.float32(255)
                 # Colours are stored as square roots.
-                out[rows, :, :3] = (out[rows, :, :3] * np.sqrt(kept)[..., None]).round()
+                out[rows, :, :3] = (out[rows, :, :3] * np.sqrt(factor)[..., None]).round()
             if not fine.any() and not soft.any() and not bows.any():
                 continue
             height = cv2.GaussianBlur(fine, (0, 0), _FINE_PX) + cv2.GaussianBlur(soft, (0, 0), _SOFT_PX)
