@@ -20,6 +20,21 @@ Measure speeds:
 - `IouTracker`, `TrackRules`: detections -> tracks.
 - `SpeedMeter`, `MeasureRules`, `MeasuredVehicle`: detections -> tracks and speeds.
 
+Speeds of the vehicles in a video, with its calibration and road mask beside it:
+
+    from pathlib import Path
+
+    from detector import DetectorDetections, SpeedMeter, load_detector, model_view
+    from labelgen import find_scene
+
+    scene = find_scene(Path("video.mp4")).open()
+    detector = load_detector("run/last.ckpt", score=0.3)
+    view = model_view(detector.metadata, scene.camera, scene.road)
+    meter, vehicles = SpeedMeter(scene.camera, fps=scene.frames.fps), []
+    for frame, detections in DetectorDetections(detector, view).stream(scene.frames):
+        vehicles += meter.add(detections)[1]
+    vehicles += meter.finish()
+
 The packages in it: `model` (network), `data` (training samples), `training`, `tracking`, `speed` (measuring),
 `evaluation` (of speeds, by the public protocols).
 """

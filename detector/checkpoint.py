@@ -90,7 +90,7 @@ def _as_tuples(value: Any) -> Any:
     return tuple(_as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
+def read_checkpoint(path: str | Path) -> dict[str, Any]:
     """Read the content of a checkpoint: tensors and plain values, no code.
 
     Raises:
@@ -108,7 +108,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return data
 
 
-def load_model(path: Path, **options: Any) -> tuple[CcRetinaNet, ModelMetadata]:
+def load_model(path: str | Path, **options: Any) -> tuple[CcRetinaNet, ModelMetadata]:
     """Load the network of a checkpoint, in evaluation mode, on the CPU.
 
     Args:

@@ -215,7 +215,7 @@ class Detector:
         ]
 
 
-def load_detector(path: Path, *, score: float = 0.05, **options: Any) -> Detector:
+def load_detector(path: str | Path, *, score: float = 0.05, **options: Any) -> Detector:
     """Load a detector from a checkpoint.
 
     Args:

@@ -71,10 +71,10 @@ class TrainSummary:
 def train(
     shards: Sequence[str | Path],
     preset: Preset,
-    out: Path,
+    out: str | Path,
     *,
     validation: Sequence[str | Path] = (),
-    weights: Path | None = None,
+    weights: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
     seed: int = 0,
@@ -102,7 +102,7 @@ def train(
         OutputError: the folder holds a run and neither `resume` nor `overwrite` is given, or cannot be written.
         LabelgenError: Lightning is not installed, the shards lack labels, or a run is resumed with other settings.
     """
-    machine = machine or MachineConfig()
+    out, machine = Path(out), machine or MachineConfig()
     sources = open_sources(shards, preset.pair, preset.size_wh)
     metadata, steps = _plan(preset, sources, seed)
     validation_samples = None

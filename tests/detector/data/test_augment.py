@@ -1,4 +1,4 @@
-"""Augmentation keeps image, boxes, c_c and VPU together."""
+"""Augmentation: image, boxes, c_c and VPU stay consistent."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def test_picture_and_boxes_move_together(scale: tuple[float, float]) -> None:
     move = AxisAlignedAffine(scale, shift)
     bright = move.warp_image(image, SIZE)[:, :, 0] >= 100
     ys, xs = np.nonzero(bright)
-    seen = [xs.min(), ys.min(), xs.max() + 1, ys.max() + 1]
-    wanted = np.clip(move.boxes([[40, 30, 100, 70]])[0], 0, [160, 96, 160, 96])
-    np.testing.assert_allclose(seen, wanted, atol=1.01)
+    bright_box = [xs.min(), ys.min(), xs.max() + 1, ys.max() + 1]
+    expected = np.clip(move.boxes([[40, 30, 100, 70]])[0], 0, [160, 96, 160, 96])
+    np.testing.assert_allclose(bright_box, expected, atol=1.01)
 
 
 def test_a_flip_of_the_whole_picture_is_exact() -> None:
@@ -75,7 +75,7 @@ def test_a_flip_of_the_whole_picture_is_exact() -> None:
     np.testing.assert_array_equal(move.boxes([[10, 20, 30, 40]]), [[130, 20, 150, 40]])
 
 
-# Box 0..100 high, line at 40: what of box, line and knowledge is left when the picture's border cuts it.
+# A box with its c_c, and what is left of both when the picture's border cuts the box.
 @pytest.mark.parametrize(
     ("box", "cc", "left", "cc_left", "known"),
     [
@@ -95,15 +95,15 @@ def test_cutting_a_box(box: list[float], cc: float, left: list[float], cc_left: 
 
 
 @pytest.mark.parametrize("box", [[-90, 10, 10, 50], [200, 10, 240, 50], [10, 10, 13, 50], [10, 93, 60, 200]])
-def test_what_is_all_but_gone_goes(box: list[float]) -> None:
+def test_boxes_with_too_little_left_are_left_out(box: list[float]) -> None:
     assert len(clip_to_image(target([box], [0.5]), SIZE).cc) == 0
 
 
 def test_cc_of_truncated_labels_is_not_learnt_from() -> None:
     labels = Labels([[0, 0, 10, 10], [20, 20, 40, 40]], [0.4, 0.6], flags=[Flag.TRUNCATED.value, 0])
-    found = TrainingTarget.from_labels(labels)
-    assert found.cc_known.tolist() == [False, True]
-    assert found.cc.tolist() == [0.0, 0.6]
+    learnt = TrainingTarget.from_labels(labels)
+    assert learnt.cc_known.tolist() == [False, True]
+    assert learnt.cc.tolist() == [0.0, 0.6]
 
 
 def test_crops_fill_the_picture_at_scale_one() -> None:
