@@ -65,10 +65,10 @@ def test_rectifying_on_the_device_is_opencvs() -> None:
     rng = np.random.default_rng(0)
     frame = np.asarray(rng.integers(0, 255, (SIZE[1] // 8, SIZE[0] // 8, 3)), dtype=np.uint8).repeat(8, 0).repeat(8, 1)
     ours = DeviceRectifier(rectification, torch.device("cpu"))(frame)
-    wanted = image_to_tensor(rectification.warp_image(frame), torch.device("cpu"))
-    assert ours.shape == wanted.shape == (3, 96, 160)
+    expected = image_to_tensor(rectification.warp_image(frame), torch.device("cpu"))
+    assert ours.shape == expected.shape == (3, 96, 160)
     # Both are zero outside of the frame; on its very border they blend differently.
-    assert (ours - wanted).abs().quantile(0.98) < 2 / 255
+    assert (ours - expected).abs().quantile(0.98) < 2 / 255
 
 
 def test_a_detector_is_a_source_of_detections() -> None:
@@ -80,8 +80,8 @@ def test_a_detector_is_a_source_of_detections() -> None:
     frames = [Frame(n, n / 25, np.asarray(rng.integers(0, 255, (SIZE[1], SIZE[0], 3)), np.uint8)) for n in range(5)]
     out = list(source.detections(frames))
     assert [frame.number for frame, _ in out] == [0, 1, 2, 3, 4]
-    assert [found.frame for _, found in out] == [0, 1, 2, 3, 4]
-    assert any(len(found) for _, found in out)
+    assert [detections.frame for _, detections in out] == [0, 1, 2, 3, 4]
+    assert any(len(detections) for _, detections in out)
     alone = list(DetectorDetections(detector, view).detections(frames[2:3]))
     np.testing.assert_allclose(alone[0][1].boxes_xyxy, out[2][1].boxes_xyxy, atol=1e-3)
 

@@ -1,4 +1,4 @@
-"""Judging detections: cases whose figures are known."""
+"""Evaluation of detections, on cases with known results."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ def test_no_detections() -> None:
 def test_ap_of_a_hand_computed_case() -> None:
     """Two labels; detections right, wrong, right: precision 1 up to recall 1/2, then 2/3 (COCO samples 101 recalls)."""
     truth = np.array([[0.0, 0, 10, 10], [50, 0, 60, 10]])
-    found = scored(
+    detections = scored(
         np.array([[0.0, 0, 10, 10], [200, 0, 210, 10], [50, 0, 60, 10]]), np.zeros(3), np.array([0.9, 0.8, 0.7])
     )
-    result = average_precision([truth], [np.zeros(2, dtype=np.bool_)], [found])
+    result = average_precision([truth], [np.zeros(2, dtype=np.bool_)], [detections])
     assert result["ap50"] == pytest.approx((51 * 1 + 50 * 2 / 3) / 101)
 
 
 def test_iou_thresholds_of_ap() -> None:
     truth = np.array([[0.0, 0, 100, 10]])
     # IoU 0.7: right for 0.5 to 0.7, five of the ten thresholds.
-    found = scored(np.array([[0.0, 0, 70.1, 10]]), np.zeros(1), np.ones(1))
-    result = average_precision([truth], [np.zeros(1, dtype=np.bool_)], [found])
+    detections = scored(np.array([[0.0, 0, 70.1, 10]]), np.zeros(1), np.ones(1))
+    result = average_precision([truth], [np.zeros(1, dtype=np.bool_)], [detections])
     assert (result["ap50"], result["ap75"], result["ap"]) == pytest.approx((1.0, 0.0, 0.5))
 
 
@@ -64,8 +64,8 @@ def test_ignored_labels_cost_nothing_either_way() -> None:
     ignored = np.array([False, True])
     one = scored(truth[:1], np.zeros(1), np.array([0.5]))
     both = scored(truth[::-1], np.zeros(2), np.array([0.9, 0.5]))
-    for found in (one, both):
-        assert average_precision([truth], [ignored], [found])["ap50"] == pytest.approx(1)
+    for detections in (one, both):
+        assert average_precision([truth], [ignored], [detections])["ap50"] == pytest.approx(1)
 
 
 def test_errors_of_cc_and_ground_point() -> None:
@@ -87,18 +87,18 @@ def test_low_detections_are_left_out_where_low_labels_were_never_made() -> None:
     sample = SAMPLES[0]
     labels = sample.labels
     low = np.array([[0.0, 0, 20, 8]])
-    found = scored(
+    detections = scored(
         np.concatenate([low, labels.boxes_xyxy]), np.concatenate([[0.5], labels.cc]), np.ones(len(labels) + 1)
     )
-    assert evaluate_detections([(sample, found)])["precision"] < 1
-    assert evaluate_detections([(sample, found)], min_height_px=10)["precision"] == 1
+    assert evaluate_detections([(sample, detections)])["precision"] < 1
+    assert evaluate_detections([(sample, detections)], min_height_px=10)["precision"] == 1
 
 
 def test_each_label_is_found_once_by_the_best_score() -> None:
     truth = np.array([[0.0, 0, 10, 10]])
-    found = np.array([[0.0, 0, 10, 9], [0.0, 0, 10, 10], [100.0, 0, 110, 10]])
-    assert match_boxes(truth, found, np.array([0.9, 0.8, 0.7])).tolist() == [0, -1, -1]
-    assert match_boxes(np.empty((0, 4)), found, np.ones(3)).tolist() == [-1, -1, -1]
+    detections = np.array([[0.0, 0, 10, 9], [0.0, 0, 10, 10], [100.0, 0, 110, 10]])
+    assert match_boxes(truth, detections, np.array([0.9, 0.8, 0.7])).tolist() == [0, -1, -1]
+    assert match_boxes(np.empty((0, 4)), detections, np.ones(3)).tolist() == [-1, -1, -1]
 
 
 def test_no_samples_is_an_error() -> None:

@@ -52,8 +52,8 @@ def test_detections_are_torchvisions_on_the_same_weights(convs: int) -> None:
     plain.load_state_dict(state)
     images = [torch.rand(3, 96, 160), torch.rand(3, 90, 120)]
     with torch.no_grad():
-        found, wanted = model(images), plain.eval()(images)
-    for ours, theirs in zip(found, wanted, strict=True):
+        detections, expected = model(images), plain.eval()(images)
+    for ours, theirs in zip(detections, expected, strict=True):
         assert len(theirs["boxes"]) > 10
         for key, value in theirs.items():
             assert torch.equal(ours[key], value)
@@ -156,19 +156,19 @@ def test_gradients_reach_cc_through_positive_anchors_alone() -> None:
 )
 def test_matching_thresholds(shift: float, kind: str) -> None:
     model = seeded(replace(LIGHT, low_quality_matches=False))
-    seen = {}
-    model.head.compute_loss = lambda t, o, a, matched: seen.update(matched=matched[0])  # type: ignore[method-assign]
+    matches = {}
+    model.head.compute_loss = lambda t, o, a, matched: matches.update(matched=matched[0])  # type: ignore[method-assign]
     model.compute_loss([target([[0.0, 0, 10, 10]], [0.5])], {}, [torch.tensor([[shift, 0.0, shift + 10, 10]])])
-    assert seen["matched"].tolist() == [{"positive": 0, "neither": -2, "negative": -1}[kind]]
+    assert matches["matched"].tolist() == [{"positive": 0, "neither": -2, "negative": -1}[kind]]
 
 
 def test_low_quality_matches_keep_a_label_without_a_good_anchor() -> None:
     model = seeded(replace(LIGHT, low_quality_matches=True))
-    seen = {}
-    model.head.compute_loss = lambda t, o, a, matched: seen.update(matched=matched[0])  # type: ignore[method-assign]
+    matches = {}
+    model.head.compute_loss = lambda t, o, a, matched: matches.update(matched=matched[0])  # type: ignore[method-assign]
     anchors = torch.tensor([[6.0, 0, 16, 10], [8.0, 0, 18, 10]])
     model.compute_loss([target([[0.0, 0, 10, 10]], [0.5])], {}, [anchors])
-    assert seen["matched"].tolist() == [0, -1]
+    assert matches["matched"].tolist() == [0, -1]
 
 
 # -- after the network --------------------------------------------------------------------------------
@@ -182,10 +182,10 @@ def test_cc_stays_with_its_box_through_thresholds_and_suppression() -> None:
         "bbox_regression": [torch.zeros(1, 4, 4)],
         "cc": [torch.tensor([[0.1, 0.2, 1.3, 0.4]])],
     }
-    (found,) = model.postprocess_detections(outputs, [[anchors]], [(100, 100)])
+    (detections,) = model.postprocess_detections(outputs, [[anchors]], [(100, 100)])
     # The second suppresses the first, the last is too weak, and 1.3 is no share.
-    assert found["boxes"].tolist() == [[1.0, 0, 11, 10], [40.0, 40, 60, 60]]
-    assert found["cc"].tolist() == pytest.approx([0.2, 1.0])
+    assert detections["boxes"].tolist() == [[1.0, 0, 11, 10], [40.0, 40, 60, 60]]
+    assert detections["cc"].tolist() == pytest.approx([0.2, 1.0])
 
 
 @pytest.mark.parametrize("name", ["resnet18", "mobilenet_v3_large", "mobilenet_v3_small", "shufflenet_v2_x0_5"])
@@ -212,8 +212,8 @@ def test_half_precision_leaves_boxes_precise() -> None:
     """Anchors and boxes in bfloat16 would lie on whole or even pixels."""
     model = seeded(LIGHT, score_thresh=0.0).eval()
     with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
-        (found,) = model([torch.rand(3, 270, 480)])
-    assert {value.dtype for key, value in found.items() if key != "labels"} == {torch.float32}
-    far = found["boxes"][:, 0] > 256
+        (detections,) = model([torch.rand(3, 270, 480)])
+    assert {value.dtype for key, value in detections.items() if key != "labels"} == {torch.float32}
+    far = detections["boxes"][:, 0] > 256
     assert far.any()
-    assert (found["boxes"][far, 0] % 2).unique().numel() > 10
+    assert (detections["boxes"][far, 0] % 2).unique().numel() > 10

@@ -27,15 +27,15 @@ SIZE = (480, 270)
 
 
 def views(pair: Pair, count: int = 12) -> list[tuple[Camera, Rectification]]:
-    rng, found = np.random.default_rng(5), []
-    while len(found) < count:
+    rng, pairs = np.random.default_rng(5), []
+    while len(pairs) < count:
         camera = random_camera(rng, roll_deg=2.0)
         try:
             rectification = Rectification.from_window(camera, [400, 500, 1500, 1080], pair, SIZE)
         except LabelgenError:
             continue
-        found.append((camera, rectification))
-    return found
+        pairs.append((camera, rectification))
+    return pairs
 
 
 def scene_of(camera: Camera, rectification: Rectification) -> torch.Tensor:
@@ -68,14 +68,14 @@ def test_c_c_is_what_the_sizes_say(pair: Pair) -> None:
         boxes, shares, fine = labels_of(rng, camera, rectification, sizes)
         boxes, cc, (long, _, tall) = boxes[fine], torch.from_numpy(shares[fine]), sizes[fine].T
         metres = np.stack([tall if pair is Pair.VP2_VP3 else tall / (1 - tall), long], axis=1) * camera.height_m
-        wanted = np.log(metres / [TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M])
+        expected = np.log(metres / [TYPICAL_HEIGHT_M, TYPICAL_LENGTH_M])
         scene = scene_of(camera, rectification)
         move = AxisAlignedAffine((-1.7, 0.6), (500.0, 40.0))
         moved = torch.from_numpy(transform_scene(scene, move.scale_xy[1], move.shift_xy[1]))
-        np.testing.assert_allclose(sizes_from_cc(cc, torch.from_numpy(boxes), scene), wanted, atol=1e-5)
+        np.testing.assert_allclose(sizes_from_cc(cc, torch.from_numpy(boxes), scene), expected, atol=1e-5)
         for where, at in ((boxes, scene), (move.boxes(boxes), moved)):
             again, same = merge_sizes(
-                torch.zeros_like(cc), torch.from_numpy(where), torch.from_numpy(wanted), at, weight=1.0, height_px=1e6
+                torch.zeros_like(cc), torch.from_numpy(where), torch.from_numpy(expected), at, weight=1.0, height_px=1e6
             )
             np.testing.assert_allclose(again, cc, atol=1e-6)
             np.testing.assert_allclose(same[:, 1:], where[:, 1:].clip(min=[0, -np.inf, -np.inf]), atol=1e-4)
@@ -90,11 +90,11 @@ def test_an_error_of_the_scale_hardly_matters(pair: Pair) -> None:
     for camera, rectification in views(pair):
         boxes, shares, fine = labels_of(rng, camera, rectification, sizes)
         where, cc = torch.from_numpy(boxes[fine]), torch.from_numpy(shares[fine])
-        told = sizes_from_cc(cc, where, scene_of(camera, rectification))
+        predicted = sizes_from_cc(cc, where, scene_of(camera, rectification))
         assert camera.scale is not None
         wrong = scene_of(replace(camera, scale=1.1 * camera.scale), rectification)
-        found, _ = merge_sizes(torch.zeros_like(cc), where, told, wrong, weight=1.0, height_px=1e6)
-        worst.append((found - cc).abs().numpy())
+        merged_cc, _ = merge_sizes(torch.zeros_like(cc), where, predicted, wrong, weight=1.0, height_px=1e6)
+        worst.append((merged_cc - cc).abs().numpy())
     assert np.concatenate(worst).max() < 0.02
 
 
@@ -105,16 +105,16 @@ SCENE = [10.0, 1 / 6, 150.0, -1.0]
 
 
 def merged(scene: list[float], weight: float = 1.0, height_px: float = 270) -> tuple[float, list[float]]:
-    """c_c seen as 0.775 and a box seen 4 px too high, merged with the typical sizes."""
+    """A predicted c_c of 0.775 and a predicted box 4 px too high, merged with the typical sizes."""
     cc, boxes = merge_sizes(
         torch.tensor([0.775]), CAR, torch.zeros(1, 2), torch.tensor(scene), weight=weight, height_px=height_px
     )
     return cc.item(), boxes[0].tolist()
 
 
-@pytest.mark.parametrize(("weight", "wanted"), [(0.0, 0.775), (0.5, 0.575), (1.0, 0.375)])
-def test_both_are_merged(weight: float, wanted: float) -> None:
-    assert merged(SCENE, weight) == (pytest.approx(wanted), [10.0, 38.0, 50.0, 60.0])
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 0.775), (0.5, 0.575), (1.0, 0.375)])
+def test_both_are_merged(weight: float, expected: float) -> None:
+    assert merged(SCENE, weight) == (pytest.approx(expected), [10.0, 38.0, 50.0, 60.0])
 
 
 def test_c_c_in_the_other_pair() -> None:
@@ -127,7 +127,7 @@ def test_c_c_in_the_other_pair() -> None:
 @pytest.mark.parametrize(
     ("scene", "height_px"), [([10.0, 0.0, 0.0, -1.0], 270.0), (SCENE, 62.0)], ids=["camera not known", "box cut below"]
 )
-def test_what_was_seen_stays_where_nothing_else_is_known(scene: list[float], height_px: float) -> None:
+def test_the_prediction_stays_where_nothing_else_is_known(scene: list[float], height_px: float) -> None:
     assert merged(scene, height_px=height_px) == (pytest.approx(0.775), CAR[0].tolist())
 
 
@@ -171,7 +171,7 @@ def test_loss_of_sizes(known: bool) -> None:
     assert sizes.grad.tolist() == [[[pytest.approx(slope), pytest.approx(-slope)], [0.0, 0.0]]]
 
 
-def test_only_some_models_say_the_sizes() -> None:
+def test_only_some_models_predict_sizes() -> None:
     assert {name for name, preset in PRESETS.items() if preset.model.size_weight} == {"small"}
     config = ModelConfig("mobilenet_v3_small", (4, 5), 32, 1, anchor_sizes=((32.0,), (64.0,)), anchor_ratios=(1.0,))
     for weight, names in (
@@ -180,6 +180,6 @@ def test_only_some_models_say_the_sizes() -> None:
     ):
         model = build_model(replace(config, size_weight=weight), score_thresh=0.0).eval()
         with torch.no_grad():
-            (found,) = model([torch.rand(3, 96, 160)])
-        assert set(found) == names
-        assert len({len(value) for value in found.values()}) == 1
+            (output,) = model([torch.rand(3, 96, 160)])
+        assert set(output) == names
+        assert len({len(value) for value in output.values()}) == 1

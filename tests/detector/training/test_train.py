@@ -51,8 +51,8 @@ def other_pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def trained(shards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder, made by the command line."""
     out = tmp_path_factory.mktemp("run") / "run"
-    done = run_train(shards, "--out", out, "--val", shards, *SETTINGS, "--json", out.parent / "train.json")
-    assert done.returncode == 0, done.stderr
+    result = run_train(shards, "--out", out, "--val", shards, *SETTINGS, "--json", out.parent / "train.json")
+    assert result.returncode == 0, result.stderr
     return out
 
 
@@ -118,14 +118,14 @@ def test_a_killed_training_resumes_to_the_same_weights(shards: Path, tmp_path: P
     assert all(torch.equal(a[key], b[key]) for key in a)
 
 
-def test_resuming_wants_the_same_settings(trained: Path, shards: Path) -> None:
+def test_resuming_requires_the_same_settings(trained: Path, shards: Path) -> None:
     changed = run_train(shards, "--out", trained, *SETTINGS, "--batch", 4, "--resume")
     assert changed.returncode == 2
     assert "batch differ from those the run was started with" in changed.stderr
     assert changed.stderr.strip().splitlines()[-1].startswith("labelgen: error:")
 
 
-def test_a_run_is_not_overwritten_unasked(trained: Path, shards: Path) -> None:
+def test_a_run_is_not_overwritten_without_the_option(trained: Path, shards: Path) -> None:
     again = run_train(shards, "--out", trained, *SETTINGS)
     assert again.returncode == 2
     assert "--resume" in again.stderr
@@ -144,17 +144,17 @@ def test_a_run_is_not_overwritten_unasked(trained: Path, shards: Path) -> None:
 def test_training_errors_are_one_line(
     shards: Path, tmp_path: Path, arguments: tuple[object, ...], message: str
 ) -> None:
-    done = run_train(shards, "--out", tmp_path / "run", "--device", "cpu", *arguments)
-    assert done.returncode == 2
-    (line,) = [line for line in done.stderr.splitlines() if "labelgen: error" in line]
+    result = run_train(shards, "--out", tmp_path / "run", "--device", "cpu", *arguments)
+    assert result.returncode == 2
+    (line,) = [line for line in result.stderr.splitlines() if "labelgen: error" in line]
     assert message in line
 
 
-def test_judging(labelgen: Run, trained: Path, shards: Path, other_pair: Path, tmp_path: Path) -> None:
-    done = labelgen(
+def test_evaluating_on_shards(labelgen: Run, trained: Path, shards: Path, other_pair: Path, tmp_path: Path) -> None:
+    result = labelgen(
         "test-detector", trained / "last.ckpt", shards, "--device", "cpu", "--json", "out.json", **ONE_THREAD
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     report = json.loads((tmp_path / "out.json").read_text())
     assert report["images"] == 8
     assert {"ap", "ap50", "ap75", "cc_error", "ground_px", "ground_m", "invalid_share"} <= set(report)
@@ -164,7 +164,7 @@ def test_judging(labelgen: Run, trained: Path, shards: Path, other_pair: Path, t
 
 
 def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Path, tmp_path: Path) -> None:
-    done = labelgen(
+    result = labelgen(
         "detect",
         trained / "last.ckpt",
         shards,
@@ -177,12 +177,12 @@ def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Pa
         "cpu",
         **ONE_THREAD,
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     lines = [json.loads(line) for line in (tmp_path / "a" / "detections.jsonl").read_text().splitlines()]
     assert [line["sample"] for line in lines[1:]] == list(range(8))
     assert len(list((tmp_path / "a" / "pictures").iterdir())) == 8
     clip = write_clip(tmp_path / "clip", 6, coco=False)
-    done = labelgen(
+    result = labelgen(
         "detect",
         trained / "last.ckpt",
         clip,
@@ -196,7 +196,7 @@ def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Pa
         "cpu",
         **ONE_THREAD,
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     # What it wrote is what `labelgen speed` reads.
     from detector.speed.detection_file import DetectionFile
 
@@ -205,7 +205,7 @@ def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Pa
     assert file.rectification.size_wh == (160, 96)
     from clips import CAMERA
 
-    assert [found.frame for found in file.frames(file.view(CAMERA))] == [0, 1, 2, 3]
+    assert [detections.frame for detections in file.frames(file.view(CAMERA))] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("judged", [False, True])
@@ -248,11 +248,11 @@ def test_overfits_sixteen_samples(tmp_path: Path) -> None:
 def test_exported_model_is_the_same(labelgen: Run, trained: Path, shards: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    done = labelgen(
+    result = labelgen(
         "export-model", trained / "last.ckpt", "--format", "onnx", "--out", "model.onnx", "--score", 0.005,
         "--check", shards, "--json", "out.json", **ONE_THREAD,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     parity = json.loads((tmp_path / "out.json").read_text())["parity"]
     assert parity["boxes"] > 100
     assert max(parity["px"], parity["cc"], parity["score"]) < 1e-4
@@ -262,9 +262,9 @@ def test_speeds_from_a_checkpoint(labelgen: Run, trained: Path, tmp_path: Path) 
     clip = write_clip(tmp_path, 4, coco=False)
     model = f"model:{trained / 'last.ckpt'}"
     options = ("--score", 0.0, "--device", "cpu", "--out", "speeds", "--json", "out.json")
-    done = labelgen("speed", clip, "--from", model, *options, **ONE_THREAD)
-    assert done.returncode == 0, done.stderr
+    result = labelgen("speed", clip, "--from", model, *options, **ONE_THREAD)
+    assert result.returncode == 0, result.stderr
     assert json.loads((tmp_path / "out.json").read_text())["frames"] == 4
-    done = labelgen("speed", clip, "--from", model, "--pair", "VP1-VP2", "--overwrite", *options, **ONE_THREAD)
-    assert done.returncode == 2
-    assert "leave out --pair and --size" in done.stderr
+    result = labelgen("speed", clip, "--from", model, "--pair", "VP1-VP2", "--overwrite", *options, **ONE_THREAD)
+    assert result.returncode == 2
+    assert "leave out --pair and --size" in result.stderr

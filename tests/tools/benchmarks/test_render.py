@@ -10,9 +10,9 @@ from tools.benchmarks import render as benchmark_render
 
 
 def test_the_benchmark_accounts_for_its_time(tmp_path: Path) -> None:
-    found = benchmark_render.measure(2, (640, 360), 3, 0, tmp_path)
-    assert found["frames"] == 3
-    assert sum(found["stages_ms"].values()) == pytest.approx(found["ms_per_frame"], rel=0.1)
+    report = benchmark_render.measure(2, (640, 360), 3, 0, tmp_path)
+    assert report["frames"] == 3
+    assert sum(report["stages_ms"].values()) == pytest.approx(report["ms_per_frame"], rel=0.1)
 
 
 def test_the_benchmark_runs_with_a_faulty_camera(tmp_path: Path) -> None:

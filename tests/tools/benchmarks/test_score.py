@@ -1,3 +1,5 @@
+"""The benchmark of scoring."""
+
 from __future__ import annotations
 
 import json
