@@ -31,6 +31,7 @@ from detector.speed.measurement import MeasurementView
 from detector.speed.variant import Variant
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
+from labelgen.json_file import parse_json
 
 __all__ = ["DetectionFile", "detections_head"]
 
@@ -95,7 +96,7 @@ class DetectionFile:
             DataError: no such file, or not of this format.
         """
         try:
-            with path.open(encoding="utf-8") as file:
+            with path.open(encoding="utf-8-sig") as file:
                 head = _parse(path, 1, file.readline())
         except OSError as err:
             raise DataError(f"detections {path}: {err.strerror or err}") from None
@@ -141,7 +142,7 @@ class DetectionFile:
             DataError: a line is damaged, or its frame does not follow the one before; names the line.
         """
         last = -1
-        with self.path.open(encoding="utf-8") as file:
+        with self.path.open(encoding="utf-8-sig") as file:
             for number, text in enumerate(file, start=1):
                 if number == 1 or not text.strip():
                     continue
@@ -188,8 +189,8 @@ def _array(line: dict[str, Any], key: str, count: int) -> Any:
 
 def _parse(path: Path, number: int, text: str) -> dict[str, Any]:
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as err:
+        data = parse_json(text)
+    except ValueError as err:
         raise DataError(f"detections {path}, line {number}: not JSON ({err})") from None
     if not isinstance(data, dict):
         raise DataError(f"detections {path}, line {number}: expected a JSON object")

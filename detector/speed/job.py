@@ -208,6 +208,8 @@ def job_from_file(
     pictures = with_pictures and scene.frames_path is not None
     frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if pictures and scene.frames_path else None
     lane_lines, notes = read_lane_lines(scene)
+    doubt = view.camera.size_doubt()
+    notes = (*([doubt] if doubt else []), *notes)
 
     def detections() -> Iterator[FrameDetections]:
         lines = file.frames(view)

@@ -90,11 +90,12 @@ class ResultWriter:
     def __init__(
         self, files: ResultFiles, view: MeasurementView, fps: float | None, *, keep_detections: bool = True
     ) -> None:
-        calibration = json.dumps(view.camera.to_dict()["camera_calibration"])
+        public = view.camera.to_dict()
+        head = "".join(f'"{key}": {json.dumps(value)}, ' for key, value in public.items() if key != "cars")
         with ExitStack() as stack:
             self._tracks = stack.enter_context(
                 AppendFile(
-                    files.tracks, head=f'{{"camera_calibration": {calibration}, "cars": [\n', separator=",\n",
+                    files.tracks, head=f'{{{head}"cars": [\n', separator=",\n",
                     tail="\n]}\n",
                 )
             )  # fmt: skip

@@ -6,7 +6,6 @@ files the positions of a car are single numbers in place of lists, and some cars
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from detector.tracking.per_track import track_numbers
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array, IntArray
+from labelgen.json_file import read_json
 
 __all__ = ["ResultFile", "Tracks", "read_results"]
 
@@ -168,14 +168,9 @@ def read_results(path: str | Path) -> ResultFile:
         DataError: no such file, not JSON, or no list `cars` in it.
     """
     path = Path(path)
-    try:
-        data = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise DataError(f"results {path}: no such file; check its folder and the name of the system") from None
-    except OSError as err:
-        raise DataError(f"results {path}: {err.strerror or err}") from None
-    except (ValueError, RecursionError) as err:
-        raise DataError(f"results {path}: not JSON ({err})") from None
+    if not path.exists():
+        raise DataError(f"results {path}: no such file; check its folder and the name of the system")
+    data = read_json(path, f"results {path}")
     cars = data.get("cars") if isinstance(data, dict) else None
     if not isinstance(cars, list):
         raise DataError(f"results {path}: expected an object with a list 'cars', as in the public result files")

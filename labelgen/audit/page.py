@@ -91,7 +91,7 @@ def _explain(data: ShardDataset[Sample], originals: Originals, out: Path, audit:
     road = None
     if source.get("road_mask"):
         try:
-            road = read_mask(Path(source["road_mask"]))
+            road = read_mask(Path(source["road_mask"]), image_wh=(original.shape[1], original.shape[0]))
         except LabelgenError as err:
             audit.notes.append(f"no road mask in the figure of the rectification: {err}")
     figure = rectification_figure(original, sample.rectification, sample.camera, sample.window_xyxy, road)
@@ -121,7 +121,7 @@ def _mask_figure(data: ShardDataset[Sample], source: dict[str, Any]) -> NDArray[
         source["masks"],
         weights=source.get("weights"),
         score_threshold=float(data.readers[0].settings.get("score", 0.5)),
-        road_mask=read_mask(Path(source["road_mask"])),
+        road_mask=read_mask(Path(source["road_mask"]), image_wh=frames.size_wh),
         frame_wh=frames.size_wh,
     )
     prime_masks(mask_source, frames)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,8 @@ from labelgen.cli.options import (
 )
 
 __all__ = ["rectify"]
+
+_log = logging.getLogger(__name__)
 
 
 def rectify(
@@ -61,9 +64,12 @@ def rectify(
     check_new_file("--out", out, overwrite)
     scene = find_scene(source, calibration=calibration, road_mask=road_mask, need_frames=False)
     image = read_picture(scene, frame)
-    camera = scene.camera((image.shape[1], image.shape[0]))
+    frame_wh = (image.shape[1], image.shape[0])
+    camera = scene.camera(frame_wh)
+    for note in scene.size_notes(frame_wh):
+        _log.warning("%s", note)
     rectification = Rectification.from_road_mask(
-        camera, scene.road(), pair, size_wh, cover="mask" if cover is Cover.MASK else "frame"
+        camera, scene.road(frame_wh), pair, size_wh, cover="mask" if cover is Cover.MASK else "frame"
     )
     make_folder(out.parent)
     encoded = cv2.imencode(suffix, rectification.warp_image(image))[1]

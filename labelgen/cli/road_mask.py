@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,8 @@ from labelgen.cli.options import (
 )
 
 __all__ = ["road_mask"]
+
+_log = logging.getLogger(__name__)
 
 
 def road_mask(
@@ -53,6 +56,8 @@ def road_mask(
         camera, observations = estimated.camera, estimated.observations
     else:
         camera = Camera.load(calibration, image_wh=frames.size_wh)
+        if (doubt := camera.size_doubt()) is not None:
+            _log.warning("%s", doubt)
         observations = observe(frames, duration_s=duration)
     road = estimate_road_mask(camera, observations.tracks)
     write_mask(out, road.pixels)

@@ -10,7 +10,6 @@ Traffic Surveillance", IEEE T-ITS 2019.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import CalibrationError, DataError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array
+from labelgen.json_file import read_json
 from labelgen.labels import Split
 from labelgen.media.image_file import decode_image, read_image
 
@@ -163,12 +163,7 @@ def _load_annotations(path: Path) -> dict[str, Any]:
     if path.suffix == ".pkl":
         data = load_pickle(path)
     else:
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as err:
-            raise DataError(f"{path}: {err.strerror or err}") from None
-        except (ValueError, RecursionError) as err:
-            raise DataError(f"{path}: not JSON ({err}); get the file from its publisher again") from None
+        data = read_json(path, hint="; get the file from its publisher again")
     samples = _listed(data.get("samples")) if isinstance(data, dict) else None
     if samples is None or not isinstance(data.get("cameras"), dict):
         raise DataError(f"{path}: not BoxCars116k annotations; expected 'cameras' and 'samples' in it")

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from labelgen.datasets.brnocompspeed import read_ground_truth
 from labelgen.datasets.manifest import load_manifest
-from labelgen.errors import DataError
+from labelgen.errors import DataError, RectificationError
 from labelgen.geometry.camera import Camera
+from labelgen.geometry.frame_size import size_text
 from labelgen.geometry.homography import Array
-from labelgen.geometry.road_mask import RoadMask, binary_mask
+from labelgen.geometry.road_mask import RoadMask, binary_mask, fit_mask
 from labelgen.labels import Split
 from labelgen.media.frames import FrameSource
 from labelgen.media.image_file import read_image
@@ -64,9 +65,13 @@ class SceneFiles:
         """Return the calibration under the scene's name, for frames of `image_wh` px (width, height)."""
         return replace(Camera.load(self.calibration_path, image_wh=image_wh), name=self.name)
 
-    def road(self) -> RoadMask:
-        """Return the road mask."""
-        return RoadMask(read_mask(self.mask_path))
+    def road(self, image_wh: tuple[int, int] | None = None) -> RoadMask:
+        """Return the road mask, for frames of `image_wh` px (width, height); None leaves it at its own size."""
+        return RoadMask(read_mask(self.mask_path, image_wh=image_wh))
+
+    def size_notes(self, image_wh: tuple[int, int]) -> tuple[str, ...]:
+        """Return what is scaled to frames of `image_wh` px, and what may be of another size, one line each."""
+        return _size_notes(self.calibration_path, self.mask_path, image_wh)
 
     def open(self, *, fps: float | None = None) -> Scene:
         """Open the frames, the calibration, the road mask and, for a session, the lanes of its ground truth.
@@ -81,10 +86,10 @@ class SceneFiles:
         if self.frames_path is None:
             raise DataError(f"{self.name}: its video is not there")
         frames = open_frames(self.frames_path)
+        size = frames.size_wh
         lane_lines, notes = read_lane_lines(self)
-        return Scene(
-            self, self.name, frames, self.camera(frames.size_wh), self.road(), fps or self.fps, lane_lines, notes
-        )
+        notes = (*self.size_notes(size), *notes)
+        return Scene(self, self.name, frames, self.camera(size), self.road(size), fps or self.fps, lane_lines, notes)
 
     def split_of(self, frame: int) -> Split:
         """Return the part of the published split C that a frame belongs to; NONE outside the data set."""
@@ -111,7 +116,7 @@ class Scene:
         road: the road mask, of the frames' size.
         fps: frames per second that the user or the data set states; None where nobody does.
         lane_lines: (L, 3) homogeneous lines in frame px between which the lanes lie; None where they are not known.
-        notes: what could not be read, one line each.
+        notes: what could not be read, is scaled or is doubtful, one line each.
     """
 
     files: SceneFiles | None
@@ -150,11 +155,14 @@ def open_stream(
         raise DataError(
             f"{url}: a stream needs a calibration and a road mask of its own", parameter=("calibration", "road_mask")
         )
-    road = RoadMask(read_mask(road_mask))
     # Find out what is wrong with the files before the camera is connected.
-    Camera.load(calibration, image_wh=road.size_wh)
+    RoadMask(read_mask(road_mask))
+    Camera.load(calibration)
     stream = VideoStream(url, duration_s=duration_s, stall_s=stall_s)
-    return Scene(None, stream.name, stream, Camera.load(calibration, image_wh=stream.size_wh), road, fps)
+    size = stream.size_wh
+    road = RoadMask(read_mask(road_mask, image_wh=size))
+    notes = _size_notes(calibration, road_mask, size)
+    return Scene(None, stream.name, stream, Camera.load(calibration, image_wh=size), road, fps, notes=notes)
 
 
 def is_session(folder: Path) -> bool:
@@ -266,16 +274,38 @@ def _choose(what: str, given: Path | None, places: list[Path], missing: dict[str
     return places[0] if places else Path()
 
 
-def read_mask(path: Path) -> NDArray[np.bool_]:
+def read_mask(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray[np.bool_]:
     """Read a road mask (H, W) bool from an image file.
 
+    Args:
+        path: the file.
+        image_wh: size of the frames, px; a mask of another size and the same ratio is resized. None leaves it.
+
     Raises:
-        DataError: missing or no image.
+        DataError: missing, no image, or of frames of another ratio.
     """
     try:
-        return binary_mask(read_image(path, cv2.IMREAD_UNCHANGED))
+        mask = binary_mask(read_image(path, cv2.IMREAD_UNCHANGED))
     except DataError as err:
         raise DataError(f"road mask {err}") from None
+    try:
+        return mask if image_wh is None else fit_mask(mask, image_wh)
+    except RectificationError as err:
+        raise DataError(str(err).replace("road mask:", f"road mask {path}:", 1), parameter=err.parameters) from None
+
+
+def _size_notes(calibration: Path, road_mask: Path, image_wh: tuple[int, int]) -> tuple[str, ...]:
+    """Return what is scaled to frames of `image_wh` px, and what may be of another size, one line each."""
+    notes = []
+    camera, mask = Camera.load(calibration), read_mask(road_mask)
+    for what, path, own in (
+        ("calibration", calibration, camera.image_wh),
+        ("road mask", road_mask, (mask.shape[1], mask.shape[0])),
+    ):
+        if own not in (None, tuple(image_wh)):
+            notes.append(f"{what} {path.name}: of {size_text(own)} px, scaled to the frames' {size_text(image_wh)}")
+    doubt = camera.fitted_to(image_wh).size_doubt()
+    return (*notes, *([doubt] if doubt else []))
 
 
 def read_lane_lines(files: SceneFiles) -> tuple[Array | None, tuple[str, ...]]:

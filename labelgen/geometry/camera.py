@@ -15,7 +15,6 @@ whose `scale` includes a plane offset of 10 and a ray origin at (pp_x, pp_y, 0).
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -28,7 +27,9 @@ from numpy.typing import ArrayLike
 
 from labelgen.atomic_files import write_json
 from labelgen.errors import CalibrationError
+from labelgen.geometry.frame_size import scale_between, size_text
 from labelgen.geometry.homography import Array
+from labelgen.json_file import read_json
 
 __all__ = ["PLANE_OFFSET", "Camera", "look_at_road"]
 
@@ -38,6 +39,10 @@ PLANE_OFFSET = 10.0
 # Least cosine between a ray and the road's normal for a pixel below the horizon. A camera 10 m above the road sees a
 # road point at this angle 1000 km away.
 _HORIZON_COS = 1e-5
+# Largest plausible distance of the principal point from the frame's middle, as a share of the frame's side: lenses and
+# sensors are off by a few hundredths. More comes from a cropped frame, or from a calibration of another frame size.
+_MAX_OFF_CENTRE = 0.15
+_SIZE_KEY = "image_wh"
 
 
 def _point(value: Any, name: str, problems: list[str]) -> Array:
@@ -182,12 +187,14 @@ class Camera:
         """Return the camera of the public result format, `{"camera_calibration": {vp1, vp2, pp, scale}, ...}`.
 
         Args:
-            data: the parsed JSON object, or its inner object alone; `scale` may be missing.
+            data: the parsed JSON object, or its inner object alone; `scale` may be missing. Where it has a key
+                `image_wh` beside `camera_calibration`, the calibration is of frames of that size.
             name: name of the camera.
-            image_wh: frame size in px, where known.
+            image_wh: frame size in px, where known; a calibration of another size is scaled, see `fitted_to`.
 
         Raises:
-            CalibrationError: a key is missing, or the values describe no camera.
+            CalibrationError: a key is missing, the values describe no camera, or the calibration is of frames of
+                another ratio.
         """
         where = f"calibration {name}" if name else "calibration"
         inner = data.get("camera_calibration", data) if isinstance(data, Mapping) else None
@@ -196,7 +203,9 @@ class Camera:
         missing = [key for key in ("vp1", "vp2", "pp") if key not in inner]
         if missing:
             raise CalibrationError(f"{where}: no camera in it; missing {', '.join(missing)} in 'camera_calibration'")
-        return cls(inner["vp1"], inner["vp2"], inner["pp"], inner.get("scale"), image_wh=image_wh, name=name)
+        own_wh = data.get(_SIZE_KEY, inner.get(_SIZE_KEY))
+        camera = cls(inner["vp1"], inner["vp2"], inner["pp"], inner.get("scale"), image_wh=own_wh, name=name)
+        return camera if image_wh is None else camera.fitted_to(image_wh)
 
     @classmethod
     def load(cls, path: str | Path, *, image_wh: tuple[int, int] | None = None) -> Camera:
@@ -204,28 +213,23 @@ class Camera:
 
         Args:
             path: the file; its stem becomes the camera's name.
-            image_wh: frame size in px, where known.
+            image_wh: frame size in px, where known; a calibration of another size is scaled, see `fitted_to`.
 
         Raises:
-            CalibrationError: the file cannot be read, is not JSON, or describes no camera.
+            CalibrationError: the file cannot be read, is not JSON, describes no camera, or is of frames of another
+                ratio.
         """
         path = Path(path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise CalibrationError(f"calibration {path}: no such file") from None
-        except OSError as err:
-            raise CalibrationError(f"calibration {path}: {err.strerror or err}") from None
-        except (ValueError, RecursionError) as err:
-            raise CalibrationError(f"calibration {path}: not JSON ({err})") from None
+        data = read_json(path, f"calibration {path}", error=CalibrationError)
         return replace(cls.from_dict(data, name=str(path), image_wh=image_wh), name=path.stem)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the camera in the public result format, without cars."""
+        """Return the camera in the public result format, without cars; the frame size, where known, beside it."""
         calibration: dict[str, Any] = {key: getattr(self, key).tolist() for key in ("vp1", "vp2", "pp")}
         if self.scale is not None:
             calibration["scale"] = self.scale
-        return {"camera_calibration": calibration, "cars": []}
+        size = {} if self.image_wh is None else {_SIZE_KEY: list(self.image_wh)}
+        return {"camera_calibration": calibration, **size, "cars": []}
 
     def save(self, path: str | Path) -> None:
         """Write the camera as a JSON file in the public result format, without cars; `load` reads it.
@@ -348,6 +352,38 @@ class Camera:
         # The plane offset is in pixels, so the published scale changes with the frame size.
         unit = replace(camera, scale=1.0)
         return replace(camera, scale=self.height_m / unit.height_m)
+
+    def fitted_to(self, image_wh: tuple[int, int]) -> Camera:
+        """Return the camera for frames of a size (width, height) px: scaled where it is of another size.
+
+        Raises:
+            CalibrationError: it is of frames of another ratio.
+        """
+        own = self.image_wh
+        if own is None or own == tuple(image_wh):
+            return replace(self, image_wh=image_wh)
+        factor = scale_between(own, image_wh)
+        if factor is None:
+            raise CalibrationError(
+                f"calibration {self.name}: it is of frames of {size_text(own)} px, but these are "
+                f"{size_text(image_wh)}, which is not the same ratio; calibrate this video",
+                parameter="calibration",
+            )
+        return replace(self.resized(factor), image_wh=image_wh)
+
+    def size_doubt(self) -> str | None:
+        """Return a line that says why the calibration may be of frames of another size; None where nothing does."""
+        if self.image_wh is None or (np.abs(self.pp / self.image_wh - 0.5) <= _MAX_OFF_CENTRE).all():
+            return None
+        wh = self.image_wh
+        doubled = (round(2 * float(self.pp[0])), round(2 * float(self.pp[1])))
+        reason = "right only where the frames are cropped"
+        if min(doubled) > 0 and scale_between(doubled, wh) is not None:
+            reason = f"it looks like a calibration of frames of {size_text(doubled)} px, which must be scaled"
+        return (
+            f"calibration {self.name}: its principal point ({self.pp[0]:g}, {self.pp[1]:g}) is far from the middle "
+            f"({wh[0] / 2:g}, {wh[1] / 2:g}) of the frames of {size_text(wh)} px: {reason}"
+        )
 
 
 def look_at_road(

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import RectificationError
+from labelgen.geometry.frame_size import scale_between, size_text
 from labelgen.geometry.homography import Array
 
-__all__ = ["RoadMask", "binary_mask"]
+__all__ = ["RoadMask", "binary_mask", "fit_mask"]
 
 
 def binary_mask(mask: NDArray[Any]) -> NDArray[np.bool_]:
@@ -46,6 +47,28 @@ def binary_mask(mask: NDArray[Any]) -> NDArray[np.bool_]:
         )
     half = (np.iinfo(mask.dtype).max + 1) / 2 if np.issubdtype(mask.dtype, np.integer) else 0.5
     return np.asarray(mask >= half)
+
+
+def fit_mask(mask: NDArray[np.bool_], image_wh: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return a road mask (H, W) bool for frames of a size (width, height) px: resized where it is of another size.
+
+    Raises:
+        RectificationError: it is of frames of another ratio.
+    """
+    own = (mask.shape[1], mask.shape[0])
+    if own == tuple(image_wh):
+        return mask
+    if not mask.size or scale_between(own, image_wh) is None:
+        raise RectificationError(
+            f"road mask: it is {size_text(own)} px, but the frames are {size_text(image_wh)}, which is not the same "
+            "ratio; give a mask of the frames' size",
+            parameter="road_mask",
+        )
+    shrinks = own[0] > image_wh[0]
+    grey = cv2.resize(
+        mask.astype(np.uint8) * 255, image_wh, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    )
+    return np.asarray(grey >= 128)
 
 
 class RoadMask:

@@ -9,7 +9,6 @@ older data set stays complete until the newer one is complete.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from typing import IO, Any
 
 from labelgen.atomic_files import as_output_error, make_folder, remove_temporary_files, write_json
 from labelgen.errors import OutputError
+from labelgen.json_file import parse_json
 from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, read_index
 from labelgen.shards.validate import content_is_intact
 
@@ -156,8 +156,8 @@ class Staging:
 
     def _read_job(self) -> Any:
         try:
-            return json.loads((self.path / _JOB_NAME).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
+            return parse_json((self.path / _JOB_NAME).read_bytes())
+        except (OSError, ValueError):
             return None  # no job was begun here, or its file is damaged
 
     def _clear(self) -> None:

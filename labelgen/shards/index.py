@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 
 from labelgen.atomic_files import write_atomic, write_json
 from labelgen.errors import DataError
+from labelgen.json_file import parse_json
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.rejects import to_json_lines
 from labelgen.shards.schema import FORMAT, HASH_ATTRIBUTE, VERSION
@@ -156,10 +156,10 @@ def read_index(folder: Path) -> dict[str, Any]:
     """
     path = folder / INDEX_NAME
     try:
-        index = json.loads(path.read_text(encoding="utf-8"))
+        index = parse_json(path.read_bytes())
     except FileNotFoundError:
         raise DataError(f"{folder}: no {INDEX_NAME}; the job was not finished, run the same command again") from None
-    except (OSError, ValueError, RecursionError) as err:
+    except (OSError, ValueError) as err:
         raise DataError(f"{path}: not readable ({err})") from None
     entries = index.get("shards") if isinstance(index, dict) else None
     good = isinstance(entries, list) and all(

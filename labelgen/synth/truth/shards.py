@@ -70,7 +70,7 @@ def write_session_shard(
     assert scene.frames_path is not None
     frames = open_frames(scene.frames_path)
     camera = scene.camera(frames.size_wh)
-    rectification = Rectification.from_road_mask(camera, scene.road(), pair, size_wh)
+    rectification = Rectification.from_road_mask(camera, scene.road(frames.size_wh), pair, size_wh)
     truth = session.resolve().parents[1] / "truth" / scene.name / "boxes.jsonl"
     settings = {"kind": "exact", "region": str(Region.ROAD), "min_height_px": MIN_HEIGHT_PX, **codec.describe()}
     path = out / f"shard-{number:03d}-{scene.name}-00000.h5"

@@ -105,7 +105,7 @@ def _masks() -> dict[str, tuple[np.ndarray, str]]:
     dot = np.zeros((360, 640), np.uint8)
     dot[10:350, 20:600] = 255
     return {
-        "another size": (road_mask()[:180, :320], "it is 320x180 px, but the frame is 640x360"),
+        "another ratio": (road_mask()[:180, :480], "it is 480x180 px, but the frames are 640x360"),
         "empty": (np.zeros((360, 640), np.uint8), "it is empty"),
     }
 

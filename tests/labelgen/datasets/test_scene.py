@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -95,3 +96,33 @@ def test_a_stream_has_nothing_beside_it() -> None:
     with pytest.raises(DataError, match="a calibration and a road mask of its own") as caught:
         open_stream("rtsp://127.0.0.1:1/live", calibration=None, road_mask=None)
     assert caught.value.parameters == ("calibration", "road_mask")
+
+
+def test_calibration_and_road_mask_of_another_size_are_scaled_and_noted(tmp_path: Path) -> None:
+    write_clip(tmp_path, 3, name="road.mp4")
+    exact = find_scene(tmp_path / "road.mp4").open()
+    size = exact.frames.size_wh
+    replace(CAMERA, image_wh=size).resized(2.0).save(tmp_path / "road.calibration.json")
+    double = cv2.resize(exact.road.pixels.astype(np.uint8) * 255, (2 * size[0], 2 * size[1]), interpolation=0)
+    cv2.imwrite(str(tmp_path / "road.mask.png"), double)
+    scene = find_scene(tmp_path / "road.mp4").open()
+    np.testing.assert_allclose(scene.camera.vp1, exact.camera.vp1)
+    np.testing.assert_allclose(scene.camera.scale, exact.camera.scale)
+    np.testing.assert_array_equal(scene.road.pixels, exact.road.pixels)
+    sizes = f"of {2 * size[0]}x{2 * size[1]} px, scaled to the frames' {size[0]}x{size[1]}"
+    assert scene.notes == (f"calibration road.calibration.json: {sizes}", f"road mask road.mask.png: {sizes}")
+
+
+def test_a_road_mask_of_another_ratio_is_refused(tmp_path: Path) -> None:
+    write_clip(tmp_path, 3, name="road.mp4")
+    cv2.imwrite(str(tmp_path / "road.mask.png"), np.full((300, 300), 255, np.uint8))
+    with pytest.raises(DataError, match=r"road\.mask\.png: it is 300x300 px, but the frames are"):
+        find_scene(tmp_path / "road.mp4").open()
+
+
+def test_a_calibration_that_seems_of_another_size_is_noted(tmp_path: Path) -> None:
+    write_clip(tmp_path, 3, name="road.mp4")
+    replace(CAMERA.resized(2.0), image_wh=None).save(tmp_path / "road.calibration.json")
+    (note,) = find_scene(tmp_path / "road.mp4").open().notes
+    assert "its principal point" in note
+    assert "must be scaled" in note

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 
 import numpy as np
@@ -231,3 +232,47 @@ def test_cuboids_off_the_road_have_no_size(camera):
     vertices[0, 6] = [300, -80]
     assert np.isnan(cuboid_sizes(vertices, camera)[0, 0])
     assert cuboid_sizes(np.empty((0, 8, 2)), camera).shape == (0, 3)
+
+
+@pytest.mark.parametrize("scale", [0.05, None])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32"])
+def test_byte_order_marks_and_other_encodings_are_read(tmp_path, scale, encoding):
+    camera = Camera(**{**GOOD, "scale": scale}, image_wh=(640, 360), name="east")
+    (tmp_path / "east.json").write_text(json.dumps(camera.to_dict()), encoding=encoding)
+    assert Camera.load(tmp_path / "east.json") == camera
+
+
+@pytest.mark.parametrize(("frame_wh", "factor"), [((1280, 720), 2.0), ((320, 180), 0.5), ((854, 480), 854 / 640)])
+def test_a_calibration_of_another_size_is_scaled(tmp_path, frame_wh, factor):
+    camera = Camera(**GOOD, image_wh=(640, 360), name="east")
+    camera.save(tmp_path / "east.json")
+    scaled = Camera.load(tmp_path / "east.json", image_wh=frame_wh)
+    assert scaled.image_wh == frame_wh
+    np.testing.assert_allclose(scaled.vp1, camera.vp1 * factor)
+    points = np.array([[300.0, 300.0], [340.0, 250.0]])
+    # Metres stay metres.
+    np.testing.assert_allclose(scaled.road_points(points * factor), camera.road_points(points), rtol=1e-9)
+
+
+@pytest.mark.parametrize("frame_wh", [(640, 480), (360, 640), (640, 352), (1920, 1088)])
+def test_a_calibration_of_another_ratio_is_refused(tmp_path, frame_wh):
+    Camera(**GOOD, image_wh=(640, 360)).save(tmp_path / "east.json")
+    with pytest.raises(CalibrationError, match=f"of 640x360 px, but these are {frame_wh[0]}x{frame_wh[1]}"):
+        Camera.load(tmp_path / "east.json", image_wh=frame_wh)
+
+
+def test_a_size_that_is_none_is_refused(tmp_path):
+    data = {**Camera(**GOOD).to_dict(), "image_wh": [640, "wide"]}
+    (tmp_path / "east.json").write_text(json.dumps(data))
+    with pytest.raises(CalibrationError, match="image_wh: expected two positive whole numbers"):
+        Camera.load(tmp_path / "east.json")
+
+
+def test_a_principal_point_far_from_the_middle_is_told():
+    camera = Camera(**GOOD)
+    assert camera.size_doubt() is None
+    assert camera.fitted_to((640, 360)).size_doubt() is None
+    doubt = camera.fitted_to((320, 180)).size_doubt()
+    assert doubt is not None
+    assert "frames of 640x360 px, which must be scaled" in doubt
+    assert "cropped" in str(camera.fitted_to((640, 240)).size_doubt())

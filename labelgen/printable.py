@@ -1,0 +1,31 @@
+"""Make text of any origin fit to be printed."""
+
+from __future__ import annotations
+
+import unicodedata
+
+__all__ = ["printable"]
+
+# Control characters, direction marks and other invisible formatting, lone surrogates, line and paragraph separators.
+_HIDDEN_CATEGORIES = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+# Formatting that scripts and emoji need: the zero-width joiner and non-joiner, and the soft hyphen.
+_NEEDED = {"\u200c", "\u200d", "\u00ad"}
+
+
+def printable(text: str, *, keep: str = "") -> str:
+    """Return text in which nothing can steer a terminal: hidden characters are written as escapes.
+
+    Names of files, and texts inside files, may hold what clears a screen, changes its title or reverses the text.
+
+    Args:
+        text: of any origin.
+        keep: characters that stay although they are hidden, such as a line feed in text of several lines.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        char
+        if char in keep or char in _NEEDED or unicodedata.category(char) not in _HIDDEN_CATEGORIES
+        else char.encode("unicode_escape").decode()
+        for char in text
+    )
