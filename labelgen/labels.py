@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, fields
 from enum import IntEnum, IntFlag
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,6 +20,7 @@ from labelgen.geometry.box_codec import decode_boxes, reorder_vertices
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array
 from labelgen.geometry.rectification import Rectification
+from labelgen.media.image_file import decode_image
 
 __all__ = ["Flag", "Labels", "Sample", "Split", "VehicleClass"]
 
@@ -230,12 +230,13 @@ class Sample:
         """The rectified image, (H, W, 3) uint8 BGR, decoded at each access.
 
         Raises:
-            DataError: the bytes are no image.
+            DataError: the bytes are no image, or one of another size than the rectification's.
         """
-        image = cv2.imdecode(np.frombuffer(self.encoded, dtype=np.uint8), cv2.IMREAD_COLOR) if self.encoded else None
-        if image is None:
-            raise DataError(f"sample {self.source} frame {self.frame}: its image cannot be decoded")
-        return np.asarray(image, dtype=np.uint8)
+        return decode_image(
+            np.frombuffer(self.encoded, dtype=np.uint8),
+            f"sample {self.source} frame {self.frame}",
+            expected_wh=self.rectification.size_wh,
+        )
 
     def vertices_px(self) -> tuple[Array, NDArray[np.bool_]]:
         """Return the 3D boxes in the original frame.

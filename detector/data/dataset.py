@@ -25,6 +25,7 @@ from labelgen.errors import DataError
 from labelgen.geometry import Pair
 from labelgen.geometry.homography import Array
 from labelgen.labels import Labels, Sample
+from labelgen.media.image_file import decode_image
 from labelgen.shards import ShardDataset, ShardReader
 
 __all__ = [
@@ -265,7 +266,8 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         source = self._sources[s]
         # Not `ShardDataset[index]`: setting up its rectification takes longer than reading its picture.
         reader, row = source.shards.locate(index)
-        image = _decode(reader.encoded(row), f"{reader.path}, sample {row}")
+        encoded = np.frombuffer(reader.encoded(row), dtype=np.uint8)
+        image = decode_image(encoded, f"{reader.path}, sample {row}", expected_wh=reader.size_wh)
         rng = np.random.default_rng([self._seed, 3, number])
         if reader.path not in self._scenes:
             self._scenes[reader.path] = _scenes(reader)
@@ -303,13 +305,6 @@ def _scenes(reader: ShardReader) -> Array:
     unique, inverse = np.unique(rows, axis=0, return_inverse=True)
     scenes = [scene_vector(u[:9].reshape(3, 3), u[9:11], reader.pair, reader.cameras[int(u[11])]) for u in unique]
     return np.array(scenes).reshape(-1, 4)[inverse.ravel()]
-
-
-def _decode(encoded: bytes, where: str) -> NDArray[np.uint8]:
-    image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_COLOR) if encoded else None
-    if image is None:
-        raise DataError(f"{where}: its image cannot be decoded; make the shard again")
-    return np.asarray(image, dtype=np.uint8)
 
 
 class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):

@@ -7,9 +7,6 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from labelgen.errors import DataError
 from labelgen.media.frames import Frame, always
 from labelgen.media.image_file import read_image
@@ -57,9 +54,15 @@ class ImageFolder:
         if not self.file_names:
             raise DataError(f"{self.path}: no images in this folder; expected files such as *.jpg or *.png")
         self.frame_count: int | None = len(self.file_names)
-        first = next((image for name in self.file_names if (image := _read(self.path / name)) is not None), None)
+        first, reason = None, ""
+        for name in self.file_names:
+            try:
+                first = read_image(self.path / name, label=name)
+                break
+            except DataError as error:
+                reason = reason or str(error)
         if first is None:
-            raise DataError(f"{self.path}: none of its {len(self.file_names)} image files can be read")
+            raise DataError(f"{self.path}: none of its {len(self.file_names)} image files can be read ({reason})")
         self.size_wh = (first.shape[1], first.shape[0])
 
     def frames(
@@ -70,18 +73,13 @@ class ImageFolder:
         for number, name in enumerate(self.file_names):
             if not wanted(number):
                 continue
-            image = _read(self.path / name)
-            if image is None:
-                self.problems.append(f"{name}: cannot be read as an image, skipped")
-            elif (image.shape[1], image.shape[0]) != self.size_wh:
+            try:
+                image = read_image(self.path / name, label=name)
+            except DataError as error:
+                self.problems.append(f"{error}; skipped")
+                continue
+            if (image.shape[1], image.shape[0]) != self.size_wh:
                 now, was = (f"{w}x{h}" for w, h in ((image.shape[1], image.shape[0]), self.size_wh))
                 self.problems.append(f"{name}: {now} px instead of the first image's {was}, skipped")
             else:
                 yield Frame(number, math.nan, image, name)
-
-
-def _read(path: Path) -> NDArray[np.uint8] | None:
-    try:
-        return read_image(path)
-    except DataError:
-        return None

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +18,7 @@ from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.geometry.road_mask import binary_mask
+from labelgen.media.image_file import read_image
 from labelgen.synth.fitting.lighting import fit_to_road
 from labelgen.synth.scene.scene import FARTHEST_M, Lane, Scene, road_to_image
 from labelgen.synth.scene.traffic import Trip, near_path_x
@@ -68,10 +68,9 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
 
 
 def _picture(path: Path) -> NDArray[np.uint8]:
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.exists() else None
-    if image is None:
+    if not path.exists():
         raise DataError(f"{path}: no such picture; --scene wants a session folder with screen.png and video_mask.png")
-    return np.asarray(image, dtype=np.uint8)
+    return read_image(path)
 
 
 def _x_range(camera: Camera, mask: NDArray[np.bool_]) -> tuple[float, float]:

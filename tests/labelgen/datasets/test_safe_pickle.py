@@ -200,31 +200,94 @@ def test_arrays_of_every_plain_kind_come_back(tmp_path: Path, array: np.ndarray,
     assert repr(first) == repr(array)
 
 
-def test_values_that_hold_themselves_come_back(tmp_path: Path) -> None:
-    loop: list[object] = [np.arange(3)]
-    array = np.array([loop, None], dtype=object)
-    array[1] = array
-    loop += [loop, {"again": (loop, array)}]
-    path = tmp_path / "data.pkl"
-    path.write_bytes(pickle.dumps(loop, protocol=2))
-    back = load_pickle(path)
-    assert back[1] is back
-    assert back[2]["again"][0] is back
-    assert back[2]["again"][1][1] is back[2]["again"][1]
-    assert back[0].tolist() == [0, 1, 2]
+def _nested(depth: int) -> object:
+    value: object = 1
+    for _ in range(depth):
+        value = (value,)
+    return value
 
 
-def test_tuples_that_share_parts_are_read_once_each(tmp_path: Path) -> None:
-    # 2**60 leaves, if every way to them were walked.
-    pair: tuple[object, ...] = (np.arange(2), 1)
-    for _ in range(60):
-        pair = (pair, pair)
+def _program(*parts: bytes) -> bytes:
+    return b"\x80\x02" + b"".join(parts) + b"."
+
+
+_TUPLES_60 = b"K\x01q\x00" + b"".join(b"0h%ch%c\x86q%c" % (i, i, i + 1) for i in range(60))
+_LOOP: list[object] = []
+_LOOP.append(_LOOP)
+_SHARED: list[object] = [1.0]
+for _ in range(40):
+    _SHARED = [_SHARED, _SHARED]
+COSTLY = {
+    "huge-memo-number": _program(b"Nr\xff\xff\xff\x0f"),
+    "huge-memo-number-as-text": _program(b"Np4000000000\n"),
+    "deep-tuple-as-key": _program(b"}K\x01", b"\x85" * 200_000, b"Ns"),
+    "deep-tuple-as-key-of-a-dict": _program(b"(K\x01", b"\x85" * 200_000, b"Nd"),
+    "deep-tuple-in-a-set": _program(b"\x8f(K\x01", b"\x85" * 200_000, b"\x90"),
+    "deep-tuple-in-a-frozenset": _program(b"(K\x01", b"\x85" * 200_000, b"\x91"),
+    "deep-tuple-in-a-called-set": _program(b"c__builtin__\nset\n]K\x01", b"\x85" * 200_000, b"a\x85R"),
+    "doubled-tuple-as-key": _program(b"}", _TUPLES_60, b"Ns"),
+    "doubled-tuple-in-a-set-list-filled-later": _program(
+        b"c__builtin__\nset\n]q\xf0\x85q\xf10h\xf0", _TUPLES_60, b"a0c__builtin__\nset\nh\xf1R"
+    ),
+    "one-array-many-times": _program(
+        b"B\x00\x00\x10\x00", bytes(1 << 20), b"q\x000cnumpy\ndtype\nX\x02\x00\x00\x00u1\x85Rq\x010]q\x02(",
+        b"cnumpy._core.multiarray\nscalar\ncnumpy\ndtype\nX\x08\x00\x00\x00S1048576\x85Rh\x00\x86R" * 4000, b"e",
+    ),
+    "one-set-many-times": _program(
+        b"](", b"".join(b"J" + i.to_bytes(4, "little") for i in range(20_000)), b"eq\x000](",
+        b"c__builtin__\nset\nh\x00\x85R" * 20_000, b"e",
+    ),
+    "many-empty-dicts": _program(b"](", b"}" * 12_000_000, b"e"),
+    "long-numbers-as-keys": _program(
+        b"}\x8b\x00\x00\x10\x00", b"\x7f" * (1 << 20), b"q\x00", b"Nsh\x00" * 50_000, b"Ns"
+    ),
+    "list-that-holds-itself": pickle.dumps(_LOOP, 2),
+    "lists-that-share-parts": pickle.dumps({"3DBB": _SHARED}, 2),
+    "deep-lists": _program(b"]" * 200_000, b"a" * 199_999),
+    "text-longer-than-the-file": _program(b"\x8d\xff\xff\xff\xff\xff\x00\x00\x00"),
+    "memory-view": _program(b"C\x01a\x98"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COSTLY)
+def test_files_that_cost_more_than_their_size_lets_expect_are_refused(tmp_path: Path, name: str) -> None:
+    """In a process of its own with 1 GB more than the imports need, and 20 s."""
+    (tmp_path / "evil.pkl").write_bytes(COSTLY[name])
+    code = (
+        "import resource, sys\nfrom labelgen.errors import DataError\n"
+        "from labelgen.datasets.safe_pickle import load_pickle\n"
+        "pages = int(open('/proc/self/statm').read().split()[0]) if sys.platform == 'linux' else 0\n"
+        "if pages:\n    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 10**9,) * 2)\n"
+        "try:\n    load_pickle('evil.pkl')\nexcept DataError as err:\n    sys.exit(f'DataError {err}')\n"
+    )
+    repository = str(Path(__file__).resolve().parents[3])
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": repository},
+        capture_output=True, text=True, timeout=20,
+    )  # fmt: skip
+    assert done.returncode == 1, done
+    assert done.stderr.startswith("DataError evil.pkl: "), done.stderr
+    assert "MemoryError" not in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_parts_that_are_shared_a_few_times_and_pairs_as_keys_come_back(tmp_path: Path) -> None:
+    shared = [np.arange(2), "text"]
+    data = {("uvoz", 1): [shared, shared], 2**40: {(1, 2), (3, 4)}, "tuple": _nested(50)}
     path = tmp_path / "data.pkl"
-    path.write_bytes(pickle.dumps(pair, protocol=2))
+    path.write_bytes(pickle.dumps(data, protocol=2))
     back = load_pickle(path)
-    while isinstance(back, tuple):
-        back = back[0]
-    assert back.tolist() == [0, 1]
+    assert back.keys() == data.keys()
+    assert back[("uvoz", 1)][0] is back[("uvoz", 1)][1]
+    assert back[2**40] == {(1, 2), (3, 4)}
+    assert back["tuple"] == _nested(50)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes on this system")
+def test_a_named_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.pkl")
+    with pytest.raises(DataError, match="not a regular file"):
+        load_pickle(tmp_path / "pipe.pkl")
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
