@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labelgen.synth.scene.props import ALONG, AT, gantry
-from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.scene import RoadScene, carriageways
 from labelgen.synth.scene.triangles import Triangles
 
 __all__ = ["KINDS", "Prop", "place_props"]
@@ -67,7 +67,7 @@ def _one_of(shares: dict[str, float], rng: np.random.Generator) -> str | None:
     return names[at] if at < len(names) else None
 
 
-def place_props(scene: Scene, shoulder_m: float, rng: np.random.Generator) -> list[Prop]:
+def place_props(scene: RoadScene, shoulder_m: float, rng: np.random.Generator) -> list[Prop]:
     """Everything that stands beside, between and over the carriageways.
 
     Args:

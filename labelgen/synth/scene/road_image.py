@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from labelgen.synth.scene.placement import place_props
 from labelgen.synth.scene.road_markings import Surface, draw_surface
-from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.scene import RoadScene, carriageways
 from labelgen.synth.scene.static_layer import (
     NO_SHADE,
     Shade,
@@ -81,7 +81,7 @@ _VERGES = (
 """Colours of the ground beside roads and how common they are: grass, earth, paving, dry grass."""
 
 
-def _look(scene: Scene, rng: np.random.Generator) -> _Look:
+def _look(scene: RoadScene, rng: np.random.Generator) -> _Look:
     borders = carriageways(scene)
     dash, period = ((3.0, 9.0), (6.0, 18.0), (3.0, 12.0), (4.0, 10.0))[int(rng.integers(4))]
     ground, dry, _ = _VERGES[int(rng.choice(len(_VERGES), p=[v[2] for v in _VERGES]))]
@@ -107,14 +107,14 @@ def _look(scene: Scene, rng: np.random.Generator) -> _Look:
     )
 
 
-def draw_road(scene: Scene, light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
+def draw_road(scene: RoadScene, light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
     """The empty road of a procedural scene, without anything beside it: (H, W, 3) uint8 BGR."""
     look, surface = _look(scene, rng), draw_surface(scene, rng)
     return _finished(_painted(scene, light, look, surface, NO_SHADE))
 
 
 def draw_scene(
-    scene: Scene, light: Light, rng: np.random.Generator, windows_xyxy: NDArray[np.int64] | None = None
+    scene: RoadScene, light: Light, rng: np.random.Generator, windows_xyxy: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[np.uint8], StaticLayer | None]:
     """Draw the empty road of a procedural scene with all that stands beside it.
 
@@ -138,7 +138,7 @@ def draw_scene(
 
 
 def _painted(
-    scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade,
+    scene: RoadScene, light: Light, look: _Look, surface: Surface, shade: Shade,
     windows_xyxy: NDArray[np.int64] | None = None,
 ) -> Plane:  # fmt: skip
     assert scene.camera.image_wh is not None
@@ -163,7 +163,13 @@ def _finished(image: Plane) -> NDArray[np.uint8]:
 
 
 def _strip(
-    scene: Scene, light: Light, look: _Look, surface: Surface, shade: Shade, columns: NDArray[Any], rows: NDArray[Any]
+    scene: RoadScene,
+    light: Light,
+    look: _Look,
+    surface: Surface,
+    shade: Shade,
+    columns: NDArray[Any],
+    rows: NDArray[Any],
 ) -> Plane:
     """(h, w, 3) radiance of some rows of samples."""
     camera = scene.camera
@@ -211,7 +217,7 @@ def _blend(planes: list[Any], layer: Any, share: Any) -> list[Any]:
 
 
 def _ground(
-    scene: Scene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane
+    scene: RoadScene, light: Light, look: _Look, surface: Surface, x: Plane, y: Plane, footprint: Plane
 ) -> list[Plane]:
     """Albedo of grass, gravel, asphalt and markings: planes of red, green and blue."""
     grain = _lookup(look.grain, x, y, 6.0) * np.clip(0.012 / footprint, 0, 1)
@@ -277,7 +283,7 @@ def _markings(
     return colour
 
 
-def _wet(scene: Scene, light: Light, look: _Look, radiance: list[Any], x: Plane, y: Plane) -> list[Any]:
+def _wet(scene: RoadScene, light: Light, look: _Look, radiance: list[Any], x: Plane, y: Plane) -> list[Any]:
     """Sky mirrored in a film of water, more the flatter one looks."""
     height = scene.camera.height_m
     cosine = height / np.sqrt(x * x + y * y + height**2)
@@ -289,7 +295,9 @@ def _wet(scene: Scene, light: Light, look: _Look, radiance: list[Any], x: Plane,
     return _blend(radiance, light.sky_low.astype(np.float32), share)
 
 
-def _woods(scene: Scene, light: Light, look: _Look, radiance: Any, rays: list[Plane], wood: tuple[float, float]) -> Any:
+def _woods(
+    scene: RoadScene, light: Light, look: _Look, radiance: Any, rays: list[Plane], wood: tuple[float, float]
+) -> Any:
     """A row of bushes and trees along the road as an upright screen of leaves. `wood`: y, and height in metres."""
     side, high = wood
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.scene.scene import LANE_WIDTH, Scene, carriageways
+from labelgen.synth.scene.scene import LANE_WIDTH, RoadScene, carriageways
 
 __all__ = ["Surface", "draw_surface"]
 
@@ -114,7 +114,7 @@ def _wear(sheet: _Sheet, low: float, high: float, rng: np.random.Generator) -> N
             sheet.line(tone, [(x, y + side), (x + rng.uniform(4, 20), y + side)], 95, 0.2)
 
 
-def draw_surface(scene: Scene, rng: np.random.Generator) -> Surface:
+def draw_surface(scene: RoadScene, rng: np.random.Generator) -> Surface:
     """What lies on the lanes of a made-up scene."""
     ways = carriageways(scene)
     sheet = _Sheet(min(w[0] for w in ways) - 4, max(w[1] for w in ways) + 4)

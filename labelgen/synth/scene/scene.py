@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from labelgen.geometry import Camera
 from labelgen.geometry.camera import look_at_road
 
-__all__ = ["Lane", "Scene", "carriageways", "line_through", "procedural_scene", "road_to_image", "visible_range"]
+__all__ = ["Lane", "RoadScene", "carriageways", "line_through", "procedural_scene", "road_to_image", "visible_range"]
 
 LANE_WIDTH = 3.6
 FARTHEST_M = 140.0
@@ -45,7 +45,7 @@ class Lane:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RoadScene:
     """A place.
 
     Args:
@@ -91,7 +91,7 @@ def road_to_image(camera: Camera) -> NDArray[np.float64]:
     return out
 
 
-def carriageways(scene: Scene) -> list[tuple[float, float, list[float]]]:
+def carriageways(scene: RoadScene) -> list[tuple[float, float, list[float]]]:
     """Per carriageway of a made-up scene its two borders and the borders between its lanes, metres."""
     groups = []
     for measured in (True, False):
@@ -113,7 +113,7 @@ def line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float])
 def procedural_scene(
     rng: np.random.Generator, size_wh: tuple[int, int], *, heading: int | None = None, name: str = "synthetic",
     both_ways: bool = False, depth_m: float = 60.0, seen_from: tuple[Camera, float] | None = None,
-) -> Scene:  # fmt: skip
+) -> RoadScene:  # fmt: skip
     """A made-up road with one to four lanes, most with a second carriageway, without a picture.
 
     Args:
@@ -155,7 +155,7 @@ def procedural_scene(
     across = [line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
     along = [line_through(camera, (near, y), (far, y)) for y in edges]
     mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
-    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
+    return RoadScene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
 
 
 def _seen_length(camera: Camera, y: float) -> float:

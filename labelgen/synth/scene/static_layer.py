@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.scene.placement import Prop
-from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.scene import RoadScene, carriageways
 from labelgen.synth.scene.strips import strips
 from labelgen.synth.scene.triangles import Triangles, gather
 from labelgen.synth.shading.lighting import Light
@@ -103,7 +103,7 @@ def _corner_numbers(triangles: Triangles) -> NDArray[np.int32]:
     return np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
 
 
-def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
+def without_view_blockers(scene: RoadScene, props: Sequence[Prop]) -> list[Prop]:
     """The things that hide little of the measured road."""
     if not props:
         return []
@@ -121,7 +121,7 @@ def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
     return [p for k, p in enumerate(props) if hidden[k] <= limit]
 
 
-def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
+def draw_shade(scene: RoadScene, light: Light, props: Sequence[Prop]) -> Shade:
     """What sunlight and skylight the things leave to the road and its verges."""
     if not props:
         return NO_SHADE

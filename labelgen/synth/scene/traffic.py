@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.scene.scene import Lane, Scene, road_to_image
+from labelgen.synth.scene.scene import Lane, RoadScene, road_to_image
 from labelgen.synth.vehicle.vehicle import VehicleModel, body_kinds, make_vehicle, vehicle_size
 
 __all__ = ["Trip", "near_path_x", "random_traffic"]
@@ -77,7 +77,7 @@ class Trip:
         return make_vehicle(self.kind, np.random.default_rng(list(self.vehicle_seed)), lamps=lamps, plates=plates)
 
 
-def near_path_x(scene: Scene, line: NDArray[np.float64], lane: Lane, offset_y: float) -> float:
+def near_path_x(scene: RoadScene, line: NDArray[np.float64], lane: Lane, offset_y: float) -> float:
     """X at which who drives `offset_y` metres beside the middle of a lane crosses a homogeneous px line."""
     a, b, c = road_to_image(scene.camera).T @ line
     y0 = lane.y0 + offset_y
@@ -85,7 +85,7 @@ def near_path_x(scene: Scene, line: NDArray[np.float64], lane: Lane, offset_y: f
 
 
 def random_traffic(
-    scene: Scene, duration_s: float, seed: int, *, per_minute: float = 18.0, kinds: Sequence[str] | None = None
+    scene: RoadScene, duration_s: float, seed: int, *, per_minute: float = 18.0, kinds: Sequence[str] | None = None
 ) -> list[Trip]:
     """Traffic on all lanes from time 0 on.
 

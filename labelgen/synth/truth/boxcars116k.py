@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.errors import OutputError
 from labelgen.geometry import Camera, road_cuboids
+from labelgen.progress import progress_bar
 from labelgen.synth.renderer.renderer import Placed, Renderer
 from labelgen.synth.scene.road_image import draw_scene
-from labelgen.synth.scene.scene import Scene, procedural_scene
+from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.scene.traffic import Trip, random_traffic
 from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.session import place
@@ -50,7 +51,7 @@ class _Settings:
     """Frame size of the data set's cameras, px."""
     instances: int = 4
     """Crops per vehicle at most; the data set has about as many."""
-    min_height_px: float = 40.0
+    min_height_px: float = 60.0
     """Height of a 3D box in the frame below which a vehicle is too small to be labelled."""
     border_px: float = 12.0
     """Distance a 3D box keeps from the frame's border, so that crops have a margin on every side."""
@@ -60,8 +61,9 @@ class _Settings:
     """Least length of the traffic to choose from; more of it gives more choice and takes longer."""
     seconds_per_vehicle: float = 6.0
     """Length of the traffic per vehicle to choose."""
-    shadow_reach_m: float = 7.0
-    """Vehicles farther than this from all that a crop shows are not drawn: their shadows do not reach it."""
+    shadow_reach: float = 2.0
+    """Vehicles farther from all that a crop shows than so many times their height are not drawn: the sun stands higher
+    than 30 degrees, so that their shadows do not reach it."""
 
 
 _SETTINGS = _Settings()
@@ -85,7 +87,6 @@ def write_boxcars_tree(
     cameras: int | None = None,
     kinds: Sequence[str] | None = None,
     overwrite: bool = False,
-    progress: bool = False,
 ) -> dict[str, Any]:
     """Write a BoxCars116k tree.
 
@@ -97,7 +98,6 @@ def write_boxcars_tree(
         kinds: body types, which then share the vehicles as evenly as the traffic allows; by their shares in traffic
             when None.
         overwrite: whether an existing tree may be replaced.
-        progress: show a bar.
 
     Returns:
         Summary: samples, instances, cameras, the root folder.
@@ -106,8 +106,6 @@ def write_boxcars_tree(
         OutputError: the tree exists, or cannot be written.
         DataError: no such body type.
     """
-    from tqdm import tqdm
-
     check_kinds(kinds or [])
     if (out / "dataset.pkl").exists() and not overwrite:
         raise OutputError(f"{out}: it holds a data set already; choose another folder", parameter="overwrite")
@@ -118,7 +116,7 @@ def write_boxcars_tree(
     samples: list[dict[str, Any]] = []
     atlas: list[list[NDArray[np.uint8]]] = []
     used: Counter[str] = Counter()
-    with tqdm(total=vehicles, unit="vehicle", disable=not progress, desc="boxcars") as bar:
+    with progress_bar(vehicles, "vehicle") as advance:
         for number, name in enumerate(names):
             site = _Site(name, number, seed)
             entries[name] = _camera_entry(site.scene.camera)
@@ -126,7 +124,7 @@ def write_boxcars_tree(
             for sample, crops in site.samples(chosen, len(samples), out / "images"):
                 samples.append(sample)
                 atlas.append(crops)
-                bar.update()
+                advance(1)
     dataset = {"cameras": entries, "samples": samples}
     for path, content in (
         (out / "dataset.pkl", dataset),
@@ -156,7 +154,7 @@ class _Site:
         self._seed = seed * 1009 + number
         self._scene_rng = np.random.default_rng([seed, 21, number])
         self._rng = np.random.default_rng([seed, 22, number])
-        self.scene: Scene = procedural_scene(self._scene_rng, _SETTINGS.frame_wh, name=name, both_ways=True)
+        self.scene: RoadScene = procedural_scene(self._scene_rng, _SETTINGS.frame_wh, name=name, both_ways=True)
         light = make_light(_WEATHERS[number % len(_WEATHERS)], self._scene_rng)
         self.light: Light = varied_light(light, self._scene_rng)
         self._trips: list[Trip] = []
@@ -259,7 +257,7 @@ class _Site:
 
     def _reaches(self, trip: Trip, view: _View) -> bool:
         """Whether a vehicle, or the ground around it that its shadow may reach, lies in a view's crop."""
-        reach = _SETTINGS.shadow_reach_m
+        reach = _SETTINGS.shadow_reach * float(trip.size_lwh[2])
         near = trip.near_point(view.time_s) - [reach, 0.0]
         size = trip.size_lwh + np.array([2 * reach, 2 * reach, 0.0])
         pixels = self.scene.camera.project(road_cuboids(near[None], size[None])[0])

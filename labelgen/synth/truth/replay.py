@@ -20,7 +20,7 @@ from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.geometry.road_mask import binary_mask
 from labelgen.synth.fitting.lighting import fit_to_road
-from labelgen.synth.scene.scene import FARTHEST_M, Lane, Scene, road_to_image
+from labelgen.synth.scene.scene import FARTHEST_M, Lane, RoadScene, road_to_image
 from labelgen.synth.scene.traffic import Trip, near_path_x
 from labelgen.synth.shading.lighting import Light, Weather, make_light
 from labelgen.synth.vehicle.vehicle import body_kinds, vehicle_size
@@ -32,7 +32,7 @@ _LEAD_S = 2.0
 _CALIBRATION = "system_optimal_calibration.json"
 
 
-def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[Scene, Light, dict[str, Any]]:
+def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[RoadScene, Light, dict[str, Any]]:
     """A real session, `ROOT/dataset/NAME`, with its calibration in `ROOT/results/NAME`.
 
     Args:
@@ -63,7 +63,7 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
     light = fit_to_road(make_light(weather, rng), background, mask)
-    scene = Scene(name, camera, (), lane_lines, lines, mask, background, _x_range(camera, mask))
+    scene = RoadScene(name, camera, (), lane_lines, lines, mask, background, _x_range(camera, mask))
     return replace(scene, lanes=_lanes(scene, gt)), light, gt
 
 
@@ -82,7 +82,7 @@ def _x_range(camera: Camera, mask: NDArray[np.bool_]) -> tuple[float, float]:
     return -25.0, float(min(np.nanmax(x) + 60.0, FARTHEST_M))
 
 
-def _lanes(scene: Scene, gt: dict[str, Any]) -> tuple[Lane, ...]:
+def _lanes(scene: RoadScene, gt: dict[str, Any]) -> tuple[Lane, ...]:
     """The measured lanes, as straight lines in the middle between their borders at the first and last line."""
     to_road = np.linalg.inv(road_to_image(scene.camera))
     heading = _heading(scene, gt)
@@ -99,7 +99,7 @@ def _lanes(scene: Scene, gt: dict[str, Any]) -> tuple[Lane, ...]:
     return tuple(lanes)
 
 
-def _heading(scene: Scene, gt: dict[str, Any]) -> int:
+def _heading(scene: RoadScene, gt: dict[str, Any]) -> int:
     """Which way traffic goes: the first line is crossed last."""
     to_road = np.linalg.inv(road_to_image(scene.camera))
     x = []
@@ -110,7 +110,7 @@ def _heading(scene: Scene, gt: dict[str, Any]) -> int:
 
 
 def replayed_traffic(
-    scene: Scene, gt: dict[str, Any], duration_s: float, seed: int, *,
+    scene: RoadScene, gt: dict[str, Any], duration_s: float, seed: int, *,
     start_s: float | None = None, kinds: Sequence[str] | None = None,
 ) -> list[Trip]:  # fmt: skip
     """The recorded cars of a part of a session; times count from its start.
@@ -147,7 +147,7 @@ def replayed_traffic(
     return _dressed(trips, seed, kinds)
 
 
-def _trip(scene: Scene, lane: Lane, number: int, car_id: int, times: dict[int, float], seed: int) -> Trip:
+def _trip(scene: RoadScene, lane: Lane, number: int, car_id: int, times: dict[int, float], seed: int) -> Trip:
     knots = sorted((time, near_path_x(scene, scene.measurement_lines[k], lane, 0.0)) for k, time in times.items())
     if len(knots) == 1:
         # Seen at one line only: the lane's usual speed.

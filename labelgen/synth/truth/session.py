@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder, write_atomic, write_json
 from labelgen.datasets.scene import is_session
 from labelgen.errors import OutputError
-from labelgen.progress import defer_interrupt
+from labelgen.progress import defer_interrupt, progress_bar
 from labelgen.synth.renderer.renderer import Drawn, Placed, Renderer
 from labelgen.synth.scene.road_image import draw_scene
-from labelgen.synth.scene.scene import Scene, procedural_scene, visible_range
+from labelgen.synth.scene.scene import RoadScene, procedural_scene, visible_range
 from labelgen.synth.scene.static_layer import StaticLayer
 from labelgen.synth.scene.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.sensor.sensor import PLAIN, Sensor, make_sensor
@@ -80,7 +80,6 @@ def write_session(
     sun: tuple[float, float] | None = None,
     video: bool = True,
     overwrite: bool = False,
-    progress: bool = False,
 ) -> SessionSummary:
     """Write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`.
 
@@ -105,7 +104,6 @@ def write_session(
             of its vehicles when None.
         video: whether to render; without, only boxes and tracks are written.
         overwrite: whether an existing session may be replaced.
-        progress: show a bar.
 
     Raises:
         OutputError: the session exists, or cannot be written.
@@ -135,9 +133,7 @@ def write_session(
     else:
         trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = _folders(out, setting.scene.name, overwrite)
-    done = _render(
-        folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress
-    )
+    done = _render(folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video)
     files = _write_beside(folders, setting, trips, done, fps)
     return SessionSummary(
         setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured
@@ -148,7 +144,7 @@ def write_session(
 class _Setting:
     """A place, its light and its camera. `surveyed`: a real session's gt_data.pkl; `measured`: see `OwnCamera`."""
 
-    scene: Scene
+    scene: RoadScene
     light: Light
     static_layer: StaticLayer | None
     sensor: Sensor
@@ -232,11 +228,9 @@ def _write_beside(
 
 def _render(
     folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int,
-    plates: str | None, *, video: bool, progress: bool,
+    plates: str | None, *, video: bool,
 ) -> _Done:  # fmt: skip
     from contextlib import ExitStack
-
-    from tqdm import tqdm
 
     from labelgen.media.video_writer import VideoWriter
 
@@ -255,7 +249,7 @@ def _render(
         writer = VideoWriter(path, fps, renderer.size_wh, setting.sensor.crf) if video else None
         if writer is not None:
             stack.enter_context(writer)
-        bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
+        advance = stack.enter_context(progress_bar(count, "frame", scene.name))
         stop = stack.enter_context(defer_interrupt())
         for number in range(count):
             if stop():  # what is written so far is a shorter recording, complete in itself
@@ -276,7 +270,7 @@ def _render(
                 masks += len(drawn)
             truth.add(number, here, drawn)
             done += 1
-            bar.update()
+            advance(1)
         cars = truth.result_cars()
     return _Done(complete, done, masks, cars)
 
@@ -286,7 +280,7 @@ def _png(image: NDArray[np.uint8]) -> bytes:
 
 
 def ground_truth(
-    scene: Scene, trips: Sequence[Trip], duration_s: float, fps: float, surveyed: dict[str, Any] | None
+    scene: RoadScene, trips: Sequence[Trip], duration_s: float, fps: float, surveyed: dict[str, Any] | None
 ) -> dict[str, Any]:
     """The content of `gt_data.pkl`: the speeds as rendered.
 
@@ -339,7 +333,7 @@ def ground_truth(
     }
 
 
-def _distances(scene: Scene) -> list[dict[str, Any]]:
+def _distances(scene: RoadScene) -> list[dict[str, Any]]:
     """Distances between road points of a made-up scene, as a surveyor would have taken them."""
     measured = [lane for lane in scene.lanes if lane.index is not None]
     low, high = min(lane.y0 for lane in measured) - 1.8, max(lane.y0 for lane in measured) + 1.8
