@@ -191,7 +191,9 @@ def test_the_sun_is_found_from_shadows(sunny: tuple[RoadScene, Footage, Renderer
     assert np.degrees(np.arccos(shadows.sun @ light.sun_direction)) < 22
 
 
-def test_a_vehicle_put_into_a_picture_changes_its_surroundings_alone(sunny: tuple[RoadScene, Footage, Renderer]) -> None:
+def test_a_vehicle_put_into_a_picture_changes_its_surroundings_alone(
+    sunny: tuple[RoadScene, Footage, Renderer],
+) -> None:
     scene, _, renderer = sunny
     assert scene.background is not None
     sensor = Sensor(sharpen=1.2, smear=0.004, in_picture=True)
