@@ -53,6 +53,8 @@ class _Settings:
     """Crops per vehicle at most; the data set has about as many."""
     min_height_px: float = 60.0
     """Height of a 3D box in the frame below which a vehicle is too small to be labelled."""
+    min_visible: float = 0.6
+    """Share of a vehicle's pixels below which others hide too much of it for its crop to serve as an example."""
     border_px: float = 12.0
     """Distance a 3D box keeps from the frame's border, so that crops have a margin on every side."""
     per_minute: float = 14.0
@@ -223,10 +225,15 @@ class _Site:
         crops_xyxy = np.array([view.crop_xyxy for views in chosen for view in views])
         background, static_layer = draw_scene(self.scene, self.light, self._scene_rng, crops_xyxy)
         renderer = Renderer(self.scene.camera, background, self.light, seed=self._seed, static_layer=static_layer)
-        for vehicle_id, views in enumerate(chosen, start=first_id):
+        vehicle_id = first_id
+        for views in chosen:
             instances, crops = [], []
-            for instance, view in enumerate(views):
-                image, _ = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
+            for view in views:
+                instance = len(instances)
+                image, drawn = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
+                visible = next((d.visible for d in drawn if d.track_id == view.trip.track_id), 0.0)
+                if visible < _SETTINGS.min_visible:
+                    continue
                 x0, y0, x1, y1 = view.crop_xyxy.tolist()
                 crop = np.ascontiguousarray(image[y0:y1, x0:x1])
                 entry = self._entry(view, vehicle_id, instance)
@@ -235,6 +242,8 @@ class _Site:
                 write_atomic(path, bytes(cv2.imencode(".png", crop)[1]))
                 crops.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].reshape(-1))
                 instances.append(entry)
+            if not instances:
+                continue
             trip = views[0].trip
             sample = {
                 "camera": self.scene.name,
@@ -243,6 +252,7 @@ class _Site:
                 "instances": instances,
             }
             yield sample, crops
+            vehicle_id += 1
 
     def _placed(self, view: _View) -> list[Placed]:
         """Return the vehicles that a view's crop shows, or whose shadows it may show."""
