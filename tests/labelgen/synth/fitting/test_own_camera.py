@@ -104,10 +104,10 @@ def test_its_lanes_are_those_that_traffic_drives_on(made: Path, session: Path) -
 
 
 def test_its_masks_lie_in_their_boxes(session: Path) -> None:
-    found = check_session(session / "dataset" / NAME)
-    assert len(found["kind"]) > 10
-    assert np.mean(found["inside"] >= 0.995) > 0.98
-    assert np.mean(found["outline"] <= 2) > 0.98
+    agreement = check_session(session / "dataset" / NAME)
+    assert len(agreement["kind"]) > 10
+    assert np.mean(agreement["inside"] >= 0.995) > 0.98
+    assert np.mean(agreement["outline"] <= 2) > 0.98
 
 
 @pytest.mark.parametrize(
@@ -117,11 +117,11 @@ def test_its_masks_lie_in_their_boxes(session: Path) -> None:
         (["--sun", "high"], "expected HEIGHT,RIGHT"),
         (["--sun", "95,0"], "expected HEIGHT,RIGHT"),
         (["--plates", "pink"], "use one of european"),
-        (["--road-mask", "nowhere.png"], "no road mask at --road-mask"),
-        (["--calibration", "nowhere.json"], "no calibration at --calibration"),
+        (["--road-mask", "nowhere.png"], "no road mask at nowhere.png (option --road-mask)"),
+        (["--calibration", "nowhere.json"], "no calibration at nowhere.json (option --calibration)"),
     ],
 )
-def test_what_cannot_be_is_one_line(
+def test_wrong_options_give_one_line(
     made: Path, tmp_path: Path, more: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:
