@@ -71,7 +71,7 @@ def _corner_normals(
         for i in range(starts[group], starts[group + 1]):
             corner = order[i]
             own = corner // 3
-            # Plain sums: whole-row arithmetic takes seconds to compile.
+            # Scalar sums, since array arithmetic takes seconds to compile.
             x, y, z = 0.0, 0.0, 0.0
             for j in range(starts[group], starts[group + 1]):
                 face = order[j] // 3
