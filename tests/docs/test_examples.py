@@ -53,6 +53,7 @@ def write_untrained_checkpoint(path: Path) -> None:
     torch.save({"state_dict": model.state_dict(), METADATA_KEY: metadata.to_dict()}, path)
 
 
+@pytest.mark.slow
 def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_untrained_checkpoint(tmp_path / "runs" / "small" / "best.ckpt")
