@@ -227,7 +227,8 @@ class _Site:
         renderer = Renderer(self.scene.camera, background, self.light, seed=self._seed, static_layer=static_layer)
         vehicle_id = first_id
         for views in chosen:
-            instances, crops = [], []
+            instances: list[dict[str, Any]] = []
+            crops: list[NDArray[np.uint8]] = []
             for view in views:
                 instance = len(instances)
                 image, drawn = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
