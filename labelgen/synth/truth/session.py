@@ -16,7 +16,7 @@ from labelgen.atomic_files import make_folder, write_atomic, write_json
 from labelgen.datasets.scene import is_session
 from labelgen.errors import OutputError
 from labelgen.progress import defer_interrupt, progress_bar
-from labelgen.synth.renderer.renderer import Drawn, Placed, Renderer
+from labelgen.synth.renderer.renderer import DrawnVehicle, PlacedVehicle, Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import RoadScene, procedural_scene, visible_range
 from labelgen.synth.scene.static_layer import StaticLayer
@@ -52,11 +52,11 @@ class SessionSummary:
     measured: dict[str, str]
 
 
-def place(trip: Trip, vehicle: VehicleModel, time_s: float) -> Placed:
+def place(trip: Trip, vehicle: VehicleModel, time_s: float) -> PlacedVehicle:
     """Return a vehicle with its place on the road at a time."""
     near = trip.near_point(time_s)
     centre = near + np.array([trip.size_lwh[0] / 2, 0.0])
-    return Placed(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s))
+    return PlacedVehicle(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s))
 
 
 def write_session(
@@ -268,7 +268,7 @@ def _render(
                 break
             time_s = number / fps
             here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
-            drawn: list[Drawn] | None = None
+            drawn: list[DrawnVehicle] | None = None
             if writer is not None:
                 ids = {t.track_id for t in here}
                 renderer.forget({k for k in vehicles if k not in ids})

@@ -95,7 +95,18 @@ def _area(boxes_xyxy: Any) -> Any:
 def write_session_shard(
     session: Path, out: Path, number: int, pair: Pair, size_wh: tuple[int, int], codec: ImageCodec
 ) -> int:
-    """One shard of a session folder (ROOT/dataset/NAME); returns how many labels it holds."""
+    """Write the shard of one session with exact labels.
+
+    Args:
+        session: folder ROOT/dataset/NAME of a synthetic session.
+        out: folder of the shard.
+        number: of the shard, for its name.
+        pair, size_wh: the rectification; px.
+        codec: how images are stored.
+
+    Returns:
+        Number of labels in the shard.
+    """
     scene = find_scene(session)
     assert scene.frames_path is not None
     frames = open_frames(scene.frames_path)

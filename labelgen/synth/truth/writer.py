@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.labels import VehicleClass
-from labelgen.synth.renderer.renderer import Drawn
+from labelgen.synth.renderer.renderer import DrawnVehicle
 from labelgen.synth.scene.traffic import Trip
 from labelgen.synth.vehicle.body_types import BODY_TYPES
 
@@ -103,7 +103,7 @@ class TruthWriter:
         self._tracks: dict[int, dict[str, Any]] = {}
         self._places: dict[int, tuple[list[int], list[float], list[float]]] = {}
 
-    def add(self, frame: int, trips: Sequence[Trip], drawn: Sequence[Drawn] | None) -> None:
+    def add(self, frame: int, trips: Sequence[Trip], drawn: Sequence[DrawnVehicle] | None) -> None:
         """Write the truth of one frame.
 
         Args:
@@ -120,15 +120,15 @@ class TruthWriter:
             near = trip.near_point(time_s)
             world = road_cuboids(near[None], trip.size_lwh[None])[0]
             pixels = self._camera.project(world)
-            visible_part = shown.get(trip.track_id) if shown is not None else None
-            if not np.isfinite(pixels).all() or (shown is not None and visible_part is None):
+            drawn_vehicle = shown.get(trip.track_id) if shown is not None else None
+            if not np.isfinite(pixels).all() or (shown is not None and drawn_vehicle is None):
                 continue
             if shown is None and not ((pixels.max(axis=0) > 0).all() and (pixels.min(axis=0) < size).all()):
                 continue
-            vehicles.append(self._vehicle(trip, time_s, near, world, pixels, visible_part))
+            vehicles.append(self._vehicle(trip, time_s, near, world, pixels, drawn_vehicle))
             self._track(trip, frame, near, pixels)
-            if visible_part is not None:
-                self._annotate(trip, visible_part, size)
+            if drawn_vehicle is not None:
+                self._annotate(trip, drawn_vehicle, size)
         self._boxes.write(json.dumps({"frame": frame, "vehicles": vehicles}) + "\n")
         image = {"id": frame, "file_name": self._video, "frame": frame, "width": size[0], "height": size[1]}
         self._images.write(("," if self._frames else "") + json.dumps(image))
@@ -136,7 +136,7 @@ class TruthWriter:
 
     def _vehicle(
         self, trip: Trip, time_s: float, near: NDArray[Any], world: NDArray[Any], pixels: NDArray[Any],
-        visible_part: Drawn | None,
+        drawn_vehicle: DrawnVehicle | None,
     ) -> dict[str, Any]:  # fmt: skip
         entry = {
             "track_id": trip.track_id,
@@ -148,9 +148,9 @@ class TruthWriter:
             "vertices_m": _short(world, 5),
             "vertices_px": _short(pixels, 4),
         }
-        if visible_part is not None:
-            entry["visible"] = round(visible_part.visible, 4)
-            entry["outline_xyxy_px"] = _short(visible_part.outline_xyxy, 3)
+        if drawn_vehicle is not None:
+            entry["visible"] = round(drawn_vehicle.visible, 4)
+            entry["outline_xyxy_px"] = _short(drawn_vehicle.outline_xyxy, 3)
         return entry
 
     def _track(self, trip: Trip, frame: int, near: NDArray[Any], pixels: NDArray[Any]) -> None:
@@ -160,9 +160,9 @@ class TruthWriter:
         xs.append(round(float(point[0]), 5))
         ys.append(round(float(point[1]), 5))
 
-    def _annotate(self, trip: Trip, visible_part: Drawn, size: tuple[int, int]) -> None:
-        rows, columns = np.flatnonzero(visible_part.mask.any(axis=1)), np.flatnonzero(visible_part.mask.any(axis=0))
-        x, y = visible_part.origin_px
+    def _annotate(self, trip: Trip, drawn_vehicle: DrawnVehicle, size: tuple[int, int]) -> None:
+        rows, columns = np.flatnonzero(drawn_vehicle.mask.any(axis=1)), np.flatnonzero(drawn_vehicle.mask.any(axis=0))
+        x, y = drawn_vehicle.origin_px
         box = [x + columns[0], y + rows[0], columns[-1] + 1 - columns[0], rows[-1] + 1 - rows[0]]
         shape = BODY_TYPES.get(trip.kind)
         self._count += 1
@@ -172,10 +172,10 @@ class TruthWriter:
             "category_id": _CATEGORIES[shape.vehicle_class if shape else VehicleClass.VEHICLE],
             "iscrowd": 0,
             "bbox": [int(v) for v in box],
-            "area": int(np.count_nonzero(visible_part.mask)),
-            "segmentation": encode_mask(visible_part.mask, visible_part.origin_px, size),
+            "area": int(np.count_nonzero(drawn_vehicle.mask)),
+            "segmentation": encode_mask(drawn_vehicle.mask, drawn_vehicle.origin_px, size),
             "track_id": trip.track_id,
-            "visible": round(visible_part.visible, 4),
+            "visible": round(drawn_vehicle.visible, 4),
         }
         self._annotations.write(("," if self._count > 1 else "") + json.dumps(annotation))
 
