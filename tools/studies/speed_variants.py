@@ -37,7 +37,7 @@ from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask, Rule, parse_size
 from labelgen.masks import InstanceMasks
-from labelgen.synth.renderer.renderer import Drawn, Renderer
+from labelgen.synth.renderer.renderer import DrawnVehicle, Renderer
 from labelgen.synth.scene.scene import RoadScene
 from labelgen.synth.scene.traffic import Trip
 from labelgen.synth.shading.lighting import Weather
@@ -79,7 +79,7 @@ class _VariantRun:
         self.cars += [vehicle.to_car() for vehicle in vehicles]
 
 
-def _masks(drawn: Sequence[Drawn], frame_wh: tuple[int, int]) -> InstanceMasks:
+def _masks(drawn: Sequence[DrawnVehicle], frame_wh: tuple[int, int]) -> InstanceMasks:
     """Return exact masks in the form of a mask source."""
     count = len(drawn)
     return InstanceMasks(

@@ -35,7 +35,7 @@ from labelgen.geometry import (
     rectified_outline,
     road_cuboids,
 )
-from labelgen.synth.renderer.renderer import Placed, Renderer
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
 from labelgen.synth.scene.road_image import draw_road
 from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.shading.lighting import Weather, make_light
@@ -153,13 +153,13 @@ def _vehicle(kind: str, looks: int) -> VehicleModel:
     return make_vehicle(kind, np.random.default_rng(looks))
 
 
-def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> Placed:
+def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> PlacedVehicle:
     vehicle = _vehicle(kind, looks)
-    return Placed(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
+    return PlacedVehicle(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
 
 
 def _exact(
-    scene: RoadScene, rect: Rectification, placed: Placed, near: NDArray[Any]
+    scene: RoadScene, rect: Rectification, placed: PlacedVehicle, near: NDArray[Any]
 ) -> tuple[NDArray[np.float64], float] | None:
     """2D box (4,) and c_c of the exact 3D box; None where it does not lie wholly inside both pictures."""
     vertices = scene.camera.project(road_cuboids(near[None], placed.vehicle.size_lwh[None]))

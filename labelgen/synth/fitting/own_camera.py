@@ -28,7 +28,7 @@ from labelgen.synth.fitting.lighting import (
 from labelgen.synth.fitting.panel_noise import fit_to_panels
 from labelgen.synth.fitting.sensor import fit_sensor
 from labelgen.synth.fitting.sun import Shadows, find_shadows
-from labelgen.synth.renderer.renderer import Placed, Renderer, covered_by
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer, covered_by
 from labelgen.synth.scene.scene import FARTHEST_M, Lane, RoadScene, line_through, visible_range
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import Sensor
@@ -194,11 +194,11 @@ def _fit_to_vehicles(
 
 def _trial_traffic(
     scene: RoadScene, light: Light, plates: str | None, thresholds: OwnCameraThresholds
-) -> list[list[Placed]]:
+) -> list[list[PlacedVehicle]]:
     """Return the vehicles in the scene at several times."""
     count, interval = thresholds.trial_frames, thresholds.trial_interval_s
     trips = random_traffic(scene, count * interval, thresholds.trial_seed, per_minute=thresholds.trial_per_minute)
-    moments: list[list[Placed]] = [[] for _ in range(count)]
+    moments: list[list[PlacedVehicle]] = [[] for _ in range(count)]
     for trip in trips:
         first, last = trip.span_s((0.0, thresholds.depth_m))
         times = [k for k in range(count) if first <= k * interval <= last]
@@ -207,12 +207,12 @@ def _trial_traffic(
             for k in times:
                 centre = trip.near_point(k * interval) + np.array([trip.size_lwh[0] / 2, 0.0])
                 speed = trip.speed_ms(k * interval)
-                moments[k].append(Placed(trip.track_id, vehicle, centre, trip.lane.heading, speed))
+                moments[k].append(PlacedVehicle(trip.track_id, vehicle, centre, trip.lane.heading, speed))
     return moments
 
 
 def _trial_frames(
-    scene: RoadScene, light: Light, sensor: Sensor, traffic: list[list[Placed]]
+    scene: RoadScene, light: Light, sensor: Sensor, traffic: list[list[PlacedVehicle]]
 ) -> tuple[NDArray[np.uint8], list[NDArray[np.bool_]]]:
     """Render traffic; return (K, H, W, 3) uint8 BGR frames and for each (H, W) where vehicles are."""
     assert scene.background is not None

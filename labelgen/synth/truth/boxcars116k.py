@@ -25,7 +25,7 @@ from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.errors import OutputError
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.progress import progress_bar
-from labelgen.synth.renderer.renderer import Placed, Renderer
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.scene.traffic import Trip, random_traffic
@@ -227,7 +227,8 @@ class _Site:
         renderer = Renderer(self.scene.camera, background, self.light, seed=self._seed, static_layer=static_layer)
         vehicle_id = first_id
         for views in chosen:
-            instances, crops = [], []
+            instances: list[dict[str, Any]] = []
+            crops: list[NDArray[np.uint8]] = []
             for view in views:
                 instance = len(instances)
                 image, drawn = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
@@ -254,7 +255,7 @@ class _Site:
             yield sample, crops
             vehicle_id += 1
 
-    def _placed(self, view: _View) -> list[Placed]:
+    def _placed(self, view: _View) -> list[PlacedVehicle]:
         """Return the vehicles that a view's crop shows, or whose shadows it may show."""
         placed = []
         for trip in self._trips:

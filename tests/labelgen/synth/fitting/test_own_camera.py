@@ -29,8 +29,8 @@ from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Weather, make_light
-from labelgen.synth.truth.check import check_session
 from labelgen.synth.truth.session import place, write_session
+from tools.studies.check_truth import check_session
 
 SIZE = (480, 270)
 NAME = "own"

@@ -21,7 +21,7 @@ from labelgen.cli.synth import synth_app
 from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, RoadMask, road_cuboids
-from labelgen.synth.truth.check import check_session
+from tools.studies.check_truth import check_session
 
 SMALL = ["--size", "480x270", "--fps", "5", "--duration", "4", "--seed", "4"]
 NAME = "session0_center"
@@ -152,7 +152,7 @@ def test_tracks_without_video_are_those_with_it(root: Path, tmp_path: Path, boxe
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--replay"], "--scene"),
+        (["--replay"], "name a real session"),
         (["--bodies", "tank"], "supermini"),
         (["--size", "65x36"], "even"),
         (["--scene", "no/such/session"], "no such"),
@@ -166,7 +166,7 @@ def test_bad_options_say_what_helps(arguments: list[str], says: str, tmp_path: P
 
 
 def test_nothing_is_replaced_unasked(root: Path) -> None:
-    with pytest.raises(LabelgenError, match="--overwrite"):
+    with pytest.raises(LabelgenError, match="it exists already"):
         run("session", "--out", str(root), *SMALL, "--size", "64x36")
 
 
