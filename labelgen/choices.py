@@ -11,10 +11,10 @@ from typing import Self
 
 from labelgen.errors import LabelgenError
 
-__all__ = ["Pair", "Region", "Rule", "parse_size"]
+__all__ = ["Choice", "Pair", "Region", "Rule", "parse_size"]
 
 
-class _Choice(StrEnum):
+class Choice(StrEnum):
     """A choice between words."""
 
     @classmethod
@@ -33,7 +33,7 @@ class _Choice(StrEnum):
         )
 
 
-class Pair(_Choice):
+class Pair(Choice):
     """The two vanishing points whose directions become axis-parallel in the rectified image.
 
     VP1 is the direction of travel, VP2 lies across the road, VP3 is vertical.
@@ -53,7 +53,7 @@ class Pair(_Choice):
         return 1 if self is Pair.VP2_VP3 else 3
 
 
-class Region(_Choice):
+class Region(Choice):
     """The part of the frame that a rectification is fitted to."""
 
     ROAD = "road"
@@ -64,7 +64,7 @@ class Region(_Choice):
     """Nothing: the frame is resized and not rectified (Orig2D)."""
 
 
-class Rule(_Choice):
+class Rule(Choice):
     """How the two candidates for c_c of a mask become one; see `labelgen.geometry.label_outlines`."""
 
     WIDER = "wider"

@@ -1,0 +1,3 @@
+"""Training samples: shards, augmentation, batches."""
+
+from __future__ import annotations

@@ -15,15 +15,12 @@ This module imports nothing that takes time to load.
 
 from __future__ import annotations
 
-from enum import StrEnum
-
-from labelgen.choices import Region
-from labelgen.errors import LabelgenError
+from labelgen.choices import Choice, Region
 
 __all__ = ["Variant"]
 
 
-class Variant(StrEnum):
+class Variant(Choice):
     """How the measured point of a vehicle is found."""
 
     TRANSFORM3D = "transform3d"
@@ -34,20 +31,6 @@ class Variant(StrEnum):
     PREVIOUS2D = "previous2d"
     DUBSKA = "dubska"
     SOCHOR = "sochor"
-
-    @classmethod
-    def parse(cls, text: str) -> Variant:
-        """Return the variant of a name, in any case and with blanks around it.
-
-        Raises:
-            LabelgenError: no such variant; the message names those that exist.
-        """
-        try:
-            return cls(text.strip().lower())
-        except ValueError:
-            raise LabelgenError(
-                f"variant {text}: unknown variant; use one of {', '.join(cls)}", parameter="variant"
-            ) from None
 
     @property
     def in_frame(self) -> bool:

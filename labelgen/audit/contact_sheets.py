@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.audit.originals import Originals
 from labelgen.drawing import crop_around, draw_box3d, draw_label, draw_text, fit_into, tile_pictures
 from labelgen.errors import OutputError
 from labelgen.geometry.homography import apply_homography, bounding_boxes
@@ -62,25 +61,27 @@ def pick_labels(data: ShardDataset[Sample], count: int, seed: int) -> list[tuple
 
 
 def label_sheets(
-    data: ShardDataset[Sample], originals: Originals, out: Path, *, count: int = 50, per_sheet: int = 10, seed: int = 0
+    data: ShardDataset[Sample],
+    picked: Sequence[tuple[int, int]],
+    originals: Mapping[int, NDArray[np.uint8] | None],
+    out: Path,
+    *,
+    per_sheet: int = 10,
 ) -> list[Path]:
-    """Write sheets of randomly chosen labels, each on the rectified image and, where available, on the original.
+    """Write sheets of labels, each on the rectified image and, where available, on the original.
 
     Args:
         data: the shards.
-        originals: the original images.
+        picked: number of the sample and of the label within it, for each label to draw.
+        originals: original image (H, W, 3) BGR by number of the sample; None where it is not available.
         out: folder of the sheets.
-        count: number of labels.
         per_sheet: number of labels on a sheet.
-        seed: of the random choice.
 
     Returns:
         The files, labels-00.png and so on.
     """
-    picked = pick_labels(data, count, seed)
     samples = {number: data[number] for number, _ in picked}
-    pictures = dict(zip(samples, originals.read(list(samples)), strict=True))
-    tiles = [_label_tile(samples[number], label, pictures[number], f"{i}") for i, (number, label) in enumerate(picked)]
+    tiles = [_label_tile(samples[number], label, originals[number], f"{i}") for i, (number, label) in enumerate(picked)]
     return _write_sheets(tiles, out, "labels", per_sheet, 2)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -45,21 +45,21 @@ class Originals:
         """
         return self._places.get(self._data.locate(index)[0].path, {})
 
-    def read(self, indices: Sequence[int]) -> list[NDArray[np.uint8] | None]:
+    def read(self, indices: Iterable[int]) -> dict[int, NDArray[np.uint8] | None]:
         """Return the original image (H, W, 3) BGR of each sample's window, or None. Each video is decoded once.
 
         Args:
             indices: numbers of the samples.
         """
-        images: list[NDArray[np.uint8] | None] = [None] * len(indices)
+        images: dict[int, NDArray[np.uint8] | None] = dict.fromkeys(indices)
         videos: dict[Path, dict[int, list[int]]] = {}
-        for i, index in enumerate(indices):
+        for index in images:
             place, sample = self.place(index), self._data[index]
             if "path" in place:
-                videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(i)
+                videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(index)
             elif "images" in place:
                 try:
-                    images[i] = read_image(Path(place["images"]) / sample.source)
+                    images[index] = read_image(Path(place["images"]) / sample.source)
                 except DataError:
                     continue  # the file was moved: the label is shown without its original
         for path, wanted in videos.items():
@@ -67,8 +67,8 @@ class Originals:
                 continue
             last = max(wanted)
             for frame in open_frames(path).frames(wanted.__contains__):
-                for i in wanted[frame.number]:
-                    images[i] = frame.image
+                for index in wanted[frame.number]:
+                    images[index] = frame.image
                 if frame.number >= last:
                     break
         return images

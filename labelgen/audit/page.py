@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.atomic_files import make_folder, write_atomic
-from labelgen.audit.contact_sheets import frame_sheets, label_sheets, save_picture
+from labelgen.audit.contact_sheets import frame_sheets, label_sheets, pick_labels, save_picture
 from labelgen.audit.originals import Originals
 from labelgen.audit.statistics import draw_statistics
 from labelgen.audit.step_figures import mask_label_figure, rectification_figure
@@ -20,7 +20,8 @@ from labelgen.choices import Rule
 from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import Sample
-from labelgen.masks import create_mask_source, masked_frames, prime_masks
+from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
+from labelgen.media.frames import FrameSource
 from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardDataset, summarise
 
@@ -70,24 +71,24 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
     make_folder(out)
     originals = Originals(data)
     audit = Audit(out / "index.html")
-    audit.pictures["Labels chosen at random: picture, label, original"] = label_sheets(
-        data, originals, out, count=count, seed=seed
-    )
+    picked = pick_labels(data, count, seed)
+    images = originals.read([0, *(number for number, _ in picked)])
+    audit.pictures["Labels chosen at random: picture, label, original"] = label_sheets(data, picked, images, out)
     audit.pictures["Whole rectified images with all their labels"] = frame_sheets(data, out)
     audit.pictures["Statistics"] = [draw_statistics(data, out / "statistics.png")]
-    _explain(data, originals, out, audit)
+    _explain(data, images[0], originals.place(0), out, audit)
     _write_page(data, audit)
     return audit
 
 
-def _explain(data: ShardDataset[Sample], originals: Originals, out: Path, audit: Audit) -> None:
+def _explain(
+    data: ShardDataset[Sample], original: NDArray[np.uint8] | None, source: dict[str, Any], out: Path, audit: Audit
+) -> None:
     """Add figures of the steps for the first sample, or a note where its original is not available."""
     sample = data[0]
-    original = originals.read([0])[0]
     if original is None:
         audit.notes.append("no figure of the rectification: the original of the first sample is not available")
         return
-    source = originals.place(0)
     road = None
     if source.get("road_mask"):
         try:
@@ -98,18 +99,19 @@ def _explain(data: ShardDataset[Sample], originals: Originals, out: Path, audit:
     audit.pictures["Steps of the rectification"] = [save_picture(out / "rectification.png", figure)]
     if source.get("masks"):
         try:
-            figure = _mask_figure(data, source)
+            figure = _mask_figure(data, original, source)
         except LabelgenError as err:
             audit.notes.append(f"no figure from mask to label: {err}")
         else:
             audit.pictures["Steps from mask to label"] = [save_picture(out / "mask-to-label.png", figure)]
 
 
-def _mask_figure(data: ShardDataset[Sample], source: dict[str, Any]) -> NDArray[np.uint8]:
+def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source: dict[str, Any]) -> NDArray[np.uint8]:
     """Return the figure from mask to label for the largest possible vehicle of the first labelled frame.
 
     Args:
         data: the shards.
+        original: (H, W, 3) BGR, the frame of the first sample.
         source: where the originals of the first sample lie, and the mask source that made its label.
 
     Raises:
@@ -124,17 +126,25 @@ def _mask_figure(data: ShardDataset[Sample], source: dict[str, Any]) -> NDArray[
         road_mask=read_mask(Path(source["road_mask"]), image_wh=frames.size_wh),
         frame_wh=frames.size_wh,
     )
-    prime_masks(mask_source, frames)
     rule = Rule.parse(str(data.readers[0].settings.get("rule", Rule.WIDER)))
-    for frame, masks in masked_frames(frames, mask_source, lambda number: number == sample.frame):
-        assert masks is not None
-        for i in sorted(range(len(masks)), key=lambda i: -int(masks.crops[i].sum())):
-            x, y = (int(v) for v in masks.origins[i])
-            figure = mask_label_figure(frame.image, masks.crops[i], (x, y), sample.rectification, rule)
-            if figure is not None:
-                return figure
-        break
+    masks = _masks_of(original, sample.frame, frames, mask_source)
+    for i in sorted(range(len(masks)), key=lambda i: -int(masks.crops[i].sum())):
+        x, y = (int(v) for v in masks.origins[i])
+        figure = mask_label_figure(original, masks.crops[i], (x, y), sample.rectification, rule)
+        if figure is not None:
+            return figure
     raise DataError("no mask of the first labelled frame gives a label")
+
+
+def _masks_of(image: NDArray[np.uint8], number: int, frames: FrameSource, source: MaskSource) -> InstanceMasks:
+    """Return the masks of one frame. A source that learns from the frames before it needs them decoded."""
+    if not (source.prime_frames or source.every_frame or frames.path.is_dir()):
+        return source.masks([image], [number], [""])[0]
+    prime_masks(source, frames)
+    for _, masks in masked_frames(frames, source, lambda n: n == number):
+        if masks is not None:
+            return masks
+    raise DataError(f"{frames.path}: it has no frame {number}")
 
 
 def _write_page(data: ShardDataset[Sample], audit: Audit) -> None:

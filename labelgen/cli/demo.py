@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from labelgen.cli.options import OverwriteOption
 
 __all__ = ["demo"]
+
+_STEPS = 7
 
 
 def demo(
@@ -18,52 +25,81 @@ def demo(
     ),
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Make synthetic traffic, label it both ways, validate the shards and leave audits to look at.
+    """Make synthetic traffic, label it both ways, validate the shards and leave contact sheets to look at.
 
-    Needs no data set and no weights; takes a minute or two.
+    Needs no data set and no weights; takes less than a minute.
     """
-    from labelgen.choices import parse_size
     from labelgen.cli.audit import audit
-    from labelgen.cli.bcs_masks import bcs_masks
-    from labelgen.cli.boxcars import boxcars
     from labelgen.cli.shards import validate
     from labelgen.datasets.manifest import load_manifest
     from labelgen.errors import OutputError
-    from labelgen.synth.shading.lighting import Weather
-    from labelgen.synth.truth.boxcars116k import write_boxcars_tree
-    from labelgen.synth.truth.session import write_session
 
+    if out.exists() and any(out.iterdir()) and not overwrite:
+        raise OutputError(f"{out}: it is not empty; choose another folder", parameter="overwrite")
     plan = load_manifest("demo")
     data, shards, audits = out / "data", out / "shards", out / "audit"
-    if out.exists() and any(out.iterdir()) and not overwrite:
-        raise OutputError(f"--out {out}: it is not empty; add --overwrite or choose another folder")
-    tree = data / "BoxCars116k"
-    typer.echo(f"1/5 rendering crops in the BoxCars116k layout: {tree}")
-    crops = plan["boxcars"]
-    write_boxcars_tree(tree, crops["vehicles"], crops["seed"], overwrite=True, progress=True)
-    clip = plan["session"]
-    typer.echo(f"2/5 rendering {clip['duration_s']:g} s of traffic in the BrnoCompSpeed layout: {data}")
-    made = write_session(
-        data,
-        duration_s=clip["duration_s"],
-        fps=clip["fps"],
-        size_wh=parse_size(clip["size"]),
-        seed=clip["seed"],
-        weather=Weather(clip["weather"]),
-        overwrite=True,
-        progress=True,
-    )
-    session = next(iter(sorted((data / "dataset").iterdir())))
-    typer.echo(f"\n3/5 labelgen boxcars --root {tree} --out {shards / 'boxcars'}")
-    boxcars(root=tree, out=shards / "boxcars", overwrite=True)
-    # Exact masks, so that what is seen of the labels is the method's own.
-    masks = f"coco:{made.files['masks']}"
-    typer.echo(f"\n4/5 labelgen bcs-masks {session} --masks {masks} --every {clip['every']} --out {shards / 'masks'}")
-    bcs_masks([session], out=shards / "masks", masks=masks, every=clip["every"], overwrite=True)
-    typer.echo(f"\n5/5 labelgen validate and labelgen audit {shards / 'boxcars'} {shards / 'masks'}")
-    validate([shards / "boxcars", shards / "masks"])
-    for name in ("boxcars", "masks"):
-        audit([shards / name], out=audits / name, overwrite=True)
-    typer.echo("\nLook at the labels:")
-    for name in ("boxcars", "masks"):
-        typer.echo(f"  {audits / name / 'index.html'}  (or {audits / name / 'labels-00.png'})")
+    sheets = {name: audits / name / "labels-00.png" for name in ("boxcars", "masks")}
+
+    _label_crops(data / "BoxCars116k", shards / "boxcars", plan["boxcars"])
+    with _step(3, f"labelgen audit {shards / 'boxcars'} --out {audits / 'boxcars'}"):
+        audit([shards / "boxcars"], out=audits / "boxcars", count=plan["audit"]["labels"], overwrite=True)
+    typer.echo(f"    first contact sheet: {sheets['boxcars']}")
+    _label_video(data, shards / "masks", plan["session"])
+    with _step(6, f"labelgen audit {shards / 'masks'} --out {audits / 'masks'}"):
+        audit([shards / "masks"], out=audits / "masks", count=plan["audit"]["labels"], overwrite=True)
+    with _step(7, f"labelgen validate {shards / 'boxcars'} {shards / 'masks'}"):
+        validate([shards / "boxcars", shards / "masks"])
+    typer.echo("Look at:")
+    for name, sheet in sheets.items():
+        typer.echo(f"  {sheet}  or the page {audits / name / 'index.html'}")
+
+
+def _label_crops(tree: Path, shards: Path, crops: dict[str, Any]) -> None:
+    """Render a BoxCars116k tree and label it."""
+    from labelgen.cli.boxcars import boxcars
+    from labelgen.synth.truth.boxcars116k import write_boxcars_tree
+
+    with _step(1, f"render crops of {crops['vehicles']} vehicles in the layout of BoxCars116k: {tree}"):
+        write_boxcars_tree(
+            tree, crops["vehicles"], crops["seed"], cameras=crops["cameras"], kinds=crops["kinds"], overwrite=True
+        )
+    with _step(2, f"labelgen boxcars --root {tree} --out {shards}"):
+        boxcars(root=tree, out=shards, overwrite=True)
+
+
+def _label_video(data: Path, shards: Path, clip: dict[str, Any]) -> None:
+    """Render a session of BrnoCompSpeed and label it through its exact masks, so that only the method errs."""
+    from labelgen.choices import parse_size
+    from labelgen.cli.bcs_masks import bcs_masks
+    from labelgen.synth.shading.lighting import Weather
+    from labelgen.synth.truth.session import write_session
+
+    with _step(4, f"render {clip['duration_s']:g} s of video in the layout of BrnoCompSpeed: {data}"):
+        made = write_session(
+            data,
+            duration_s=clip["duration_s"],
+            fps=clip["fps"],
+            size_wh=parse_size(clip["size"]),
+            seed=clip["seed"],
+            weather=Weather(clip["weather"]),
+            overwrite=True,
+        )
+    session, masks = data / "dataset" / made.name, f"coco:{made.files['masks']}"
+    with _step(5, f"labelgen bcs-masks {session} --masks {masks} --every {clip['every']} --out {shards}"):
+        bcs_masks([session], out=shards, masks=masks, every=clip["every"], overwrite=True)
+
+
+@contextmanager
+def _step(number: int, text: str) -> Iterator[None]:
+    """Print a line for a step and how long it took; what the step itself prints is dropped, warnings are not."""
+    typer.echo(f"{number}/{_STEPS} {text} ", nl=False)
+    start = time.monotonic()
+    log = logging.getLogger("labelgen")
+    level = log.level
+    log.setLevel(max(level, logging.WARNING))
+    try:
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        log.setLevel(level)
+        typer.echo(f"({time.monotonic() - start:.0f} s)")

@@ -31,7 +31,7 @@ def boxcars(
     """Write a BoxCars116k tree: crops of vehicles with 3D boxes, seen by several cameras."""
     from labelgen.synth.truth.boxcars116k import write_boxcars_tree
 
-    summary = write_boxcars_tree(out, vehicles, seed, overwrite=overwrite, progress=True)
+    summary = write_boxcars_tree(out, vehicles, seed, overwrite=overwrite)
     typer.echo("synthetic crops in the BoxCars116k layout")
     print_table(list(summary.items()))
     write_json_report(json_file, summary)
@@ -137,7 +137,6 @@ def session(
         sun=_sun(sun),
         video=video,
         overwrite=overwrite,
-        progress=True,
     )
     report = asdict(summary)
     typer.echo(f"synthetic session {summary.name}" + ("" if summary.complete else ", ended early"))

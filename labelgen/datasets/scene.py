@@ -172,10 +172,10 @@ def is_session(folder: Path) -> bool:
 
 
 def find_scene(
-    path: Path,
+    path: str | Path,
     *,
-    calibration: Path | None = None,
-    road_mask: Path | None = None,
+    calibration: str | Path | None = None,
+    road_mask: str | Path | None = None,
     need_frames: bool = True,
     may_lack: bool = False,
 ) -> SceneFiles:
@@ -191,6 +191,8 @@ def find_scene(
     Raises:
         DataError: no such input, or something is missing; names everything that is, and where it was looked for.
     """
+    path = Path(path)
+    calibration, road_mask = (None if file is None else Path(file) for file in (calibration, road_mask))
     scene, missing = _find(path, calibration, road_mask, need_frames)
     given = {"calibration": calibration, "road mask": road_mask}
     lacking = {name for name, file in given.items() if may_lack and file is None and name in missing}

@@ -25,6 +25,7 @@ from labelgen.media.frames import Frame
 from labelgen.media.image_folder import ImageFolder
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
+from labelgen.shards.index import file_hash
 
 __all__ = ["MaskSettings", "VideoUnit", "video_job"]
 
@@ -68,8 +69,7 @@ class MaskSettings:
 def _digest(path: Path) -> str | None:
     if not path.is_file():
         return None  # the mask source raises the error
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_hash(path)
 
 
 def video_job(

@@ -13,6 +13,7 @@ __all__ = [
     "Reject",
     "ShardDataset",
     "ShardReader",
+    "ShardSet",
     "ShardWriter",
     "find_shards",
     "merge_shards",
@@ -22,3 +23,6 @@ __all__ = [
     "validate_shards",
     "write_index",
 ]
+
+ShardSet = ShardDataset
+"""Alias of `ShardDataset`, for scripts that read shards under this name."""

@@ -53,7 +53,10 @@ def write_untrained_checkpoint(path: Path) -> None:
     torch.save({"state_dict": model.state_dict(), METADATA_KEY: metadata.to_dict()}, path)
 
 
+@pytest.mark.slow
 def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_untrained_checkpoint(tmp_path / "runs" / "small" / "best.ckpt")
     assert run_page("examples.md", {"__name__": "__main__"}) >= 10
+    for page in ("../README.md", "getting-started/quickstart.md", "reference/shard-format.md"):  # on the same shards
+        assert run_page(page, {"__name__": "__main__"}) == 1

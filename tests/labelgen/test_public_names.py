@@ -14,7 +14,7 @@ PUBLIC_NAMES = {
     """,
     "labelgen.labeling": "BoxLimits LabelLimits MaskReject flat_labels label_boxes label_masks",
     "labelgen.shards": """
-        DatasetSummary Reject ShardDataset ShardReader ShardWriter
+        DatasetSummary Reject ShardDataset ShardReader ShardSet ShardWriter
         find_shards merge_shards read_index summarise validate_shard validate_shards write_index
     """,
     "labelgen.labels": "Flag Labels Sample Split VehicleClass",

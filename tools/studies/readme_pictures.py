@@ -16,7 +16,7 @@ from labelgen.errors import DataError
 __all__ = ["main", "make_pictures"]
 
 _PICTURES = {
-    "labels.jpg": "audit/masks/labels-01.png",
+    "labels.jpg": "audit/masks/labels-00.png",
     "mask-to-label.jpg": "audit/masks/mask-to-label.png",
     "rectification.jpg": "audit/masks/rectification.png",
 }

@@ -37,8 +37,8 @@ from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask, Rule, parse_size
 from labelgen.masks import InstanceMasks
-from labelgen.synth.renderer.renderer import Drawn, Renderer
-from labelgen.synth.scene.scene import Scene
+from labelgen.synth.renderer.renderer import DrawnVehicle, Renderer
+from labelgen.synth.scene.scene import RoadScene
 from labelgen.synth.scene.traffic import Trip
 from labelgen.synth.shading.lighting import Weather
 from labelgen.synth.truth.replay import load_scene, replayed_traffic
@@ -79,7 +79,7 @@ class _VariantRun:
         self.cars += [vehicle.to_car() for vehicle in vehicles]
 
 
-def _masks(drawn: Sequence[Drawn], frame_wh: tuple[int, int]) -> InstanceMasks:
+def _masks(drawn: Sequence[DrawnVehicle], frame_wh: tuple[int, int]) -> InstanceMasks:
     """Return exact masks in the form of a mask source."""
     count = len(drawn)
     return InstanceMasks(
@@ -92,7 +92,7 @@ def _masks(drawn: Sequence[Drawn], frame_wh: tuple[int, int]) -> InstanceMasks:
 
 
 def truth_masks(
-    scene: Scene, trips: Sequence[Trip], renderer: Renderer, count: int, fps: float
+    scene: RoadScene, trips: Sequence[Trip], renderer: Renderer, count: int, fps: float
 ) -> Iterator[tuple[int, float, InstanceMasks]]:
     """Yield frame number, time in seconds and exact masks of each frame."""
     spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
@@ -216,7 +216,9 @@ def _offsets(camera: Camera, detections: Detections, trips: Sequence[Trip], time
     return [pair for pair in offsets.round(3).tolist() if abs(pair[0]) < _NEAR_M[0] and abs(pair[1]) < _NEAR_M[1]]
 
 
-def _exact(tracks: dict[int, dict[str, Any]], scene: Scene, trips: Sequence[Trip], number: int, time_s: float) -> None:
+def _exact(
+    tracks: dict[int, dict[str, Any]], scene: RoadScene, trips: Sequence[Trip], number: int, time_s: float
+) -> None:
     """Add the true contact points of a frame to tracks, which the protocol then scores as tracks without error."""
     size = np.asarray(scene.camera.image_wh)
     for trip in trips:
@@ -228,7 +230,7 @@ def _exact(tracks: dict[int, dict[str, Any]], scene: Scene, trips: Sequence[Trip
             car["posY"].append(float(point[1]))
 
 
-def _score(scene: Scene, truth: GroundTruth, cars: list[dict[str, Any]]) -> dict[str, Any]:
+def _score(scene: RoadScene, truth: GroundTruth, cars: list[dict[str, Any]]) -> dict[str, Any]:
     score = score_recording(truth, Tracks.from_cars(cars), scene.camera)
     # NaN, in JSON null, for vehicles that were not found.
     errors = np.where(score.counted, score.speeds_kmh - score.truth_kmh, np.nan)[score.valid]

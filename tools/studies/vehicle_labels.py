@@ -35,9 +35,9 @@ from labelgen.geometry import (
     rectified_outline,
     road_cuboids,
 )
-from labelgen.synth.renderer.renderer import Placed, Renderer
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
 from labelgen.synth.scene.road_image import draw_road
-from labelgen.synth.scene.scene import Scene, procedural_scene
+from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.vehicle.body_types import BODY_TYPES
 from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle
@@ -93,12 +93,12 @@ def _iou(a: NDArray[Any], b: NDArray[Any]) -> float:
     return inner / float((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - inner)
 
 
-def _rectifications(scene: Scene) -> dict[Pair, Rectification]:
+def _rectifications(scene: RoadScene) -> dict[Pair, Rectification]:
     mask = RoadMask(scene.road_mask)
     return {pair: Rectification.from_road_mask(scene.camera, mask, pair, size) for pair, size in PAIRS.items()}
 
 
-def _spots(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
+def _spots(scene: RoadScene, rng: np.random.Generator) -> NDArray[np.float64]:
     """(N, 2) metres on the road, spread evenly over the logarithm of the distance."""
     rows, columns = np.nonzero(scene.road_mask)
     pick = rng.integers(0, len(rows), 4000)
@@ -109,7 +109,7 @@ def _spots(scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray(ground[rng.choice(len(ground), _TRIED, p=weight / weight.sum())])
 
 
-def measure_scene(scene: Scene, number: int, count: int, seed: int, kinds: list[str] | None = None) -> list[Case]:
+def measure_scene(scene: RoadScene, number: int, count: int, seed: int, kinds: list[str] | None = None) -> list[Case]:
     """Cases of one scene: `count` places per body type, rectification and box height, where there are so many.
 
     Args:
@@ -153,13 +153,13 @@ def _vehicle(kind: str, looks: int) -> VehicleModel:
     return make_vehicle(kind, np.random.default_rng(looks))
 
 
-def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> Placed:
+def _placed(kind: str, looks: int, heading: int, near: NDArray[Any]) -> PlacedVehicle:
     vehicle = _vehicle(kind, looks)
-    return Placed(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
+    return PlacedVehicle(1, vehicle, near + np.array([vehicle.size_lwh[0] / 2, 0.0]), heading, 0.0)
 
 
 def _exact(
-    scene: Scene, rect: Rectification, placed: Placed, near: NDArray[Any]
+    scene: RoadScene, rect: Rectification, placed: PlacedVehicle, near: NDArray[Any]
 ) -> tuple[NDArray[np.float64], float] | None:
     """2D box (4,) and c_c of the exact 3D box; None where it does not lie wholly inside both pictures."""
     vertices = scene.camera.project(road_cuboids(near[None], placed.vehicle.size_lwh[None]))
@@ -267,7 +267,7 @@ def _worst(cases: list[Case], pair: Pair, rule: Rule, count: int = 10) -> list[C
     return out[:count]
 
 
-def _picture(case: Case, scene: Scene, rule: Rule) -> NDArray[np.uint8]:
+def _picture(case: Case, scene: RoadScene, rule: Rule) -> NDArray[np.uint8]:
     rng = np.random.default_rng([case.scene, 3])
     light = make_light(Weather.DAY, rng)
     background = scene.background if scene.background is not None else draw_road(scene, light, rng)
@@ -287,7 +287,7 @@ def _picture(case: Case, scene: Scene, rule: Rule) -> NDArray[np.uint8]:
     return np.concatenate([left, right], axis=1)
 
 
-def _real_scenes(root: Path) -> list[Scene]:
+def _real_scenes(root: Path) -> list[RoadScene]:
     from labelgen.synth.truth.replay import load_scene
 
     folders = sorted((root / "brnocompspeed" / "dataset").glob("session*"))

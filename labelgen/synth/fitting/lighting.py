@@ -48,6 +48,7 @@ class LightingThresholds:
         tint_share, pale_reference: share of the panels' tint that the light takes over, and the grey level to which it
             refers.
         max_slope: steepest tone curve. A steeper one shows bands.
+        shadow_spread: see `SunThresholds`.
         dark_share: share of dark pixels from which a part is shadow rather than a vehicle.
         top_share, side_share: which part of a vehicle's height counts for its brightness, and how much of its width on
             either side does not: its foot may be shadow.
@@ -70,6 +71,7 @@ class LightingThresholds:
     tint_share: float = 0.7
     pale_reference: float = 190.0
     max_slope: float = 1.9
+    shadow_spread: float = SUN.shadow_spread
     dark_share: float = 0.9
     top_share: float = 0.75
     side_share: float = 0.15
@@ -228,8 +230,8 @@ def vehicle_parts(
             ratio = (cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.float32) + 1) / background
             mean = cv2.blur(ratio, (3, 3))
             even = cv2.blur(ratio * ratio, (3, 3)) - mean * mean < 0.05**2
-            foreground &= ~(even & (np.abs(ratio - shadows.left) < SUN.shadow_spread))
-            dark = ratio < shadows.left + SUN.shadow_spread
+            foreground &= ~(even & (np.abs(ratio - shadows.left) < thresholds.shadow_spread))
+            dark = ratio < shadows.left + thresholds.shadow_spread
         inner = cv2.erode(foreground.astype(np.uint8), np.ones((5, 5), np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(inner)
         for k in range(1, count):

@@ -28,8 +28,8 @@ from labelgen.synth.fitting.lighting import (
 from labelgen.synth.fitting.panel_noise import fit_to_panels
 from labelgen.synth.fitting.sensor import fit_sensor
 from labelgen.synth.fitting.sun import Shadows, find_shadows
-from labelgen.synth.renderer.renderer import Placed, Renderer, covered_by
-from labelgen.synth.scene.scene import FARTHEST_M, Lane, Scene, line_through, visible_range
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer, covered_by
+from labelgen.synth.scene.scene import FARTHEST_M, Lane, RoadScene, line_through, visible_range
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import Sensor
 from labelgen.synth.shading.lighting import Light, Weather, make_light
@@ -75,7 +75,7 @@ class OwnCamera:
         measured: name -> value in words, for the user.
     """
 
-    scene: Scene
+    scene: RoadScene
     light: Light
     sensor: Sensor
     fps: float
@@ -151,7 +151,7 @@ def _direction(height_deg: float, right_deg: float) -> NDArray[np.float64]:
 def _scene(
     name: str, camera: Camera, lanes: tuple[Lane, ...], borders: NDArray[np.float64], road: NDArray[np.bool_],
     background: NDArray[np.uint8], thresholds: OwnCameraThresholds,
-) -> Scene:  # fmt: skip
+) -> RoadScene:  # fmt: skip
     """Return the visible road with three measurement lines across, the one crossed last first."""
     measured = [lane for lane in lanes if lane.index is not None]
     middle = float(borders.mean())
@@ -170,11 +170,11 @@ def _scene(
     pick = slice(None, None, max(1, len(rows) // 20000))
     x = camera.road_points(np.stack([columns[pick], rows[pick]], axis=1) + 0.5, invalid="nan")[:, 0]
     reach = float(min(np.nanmax(x) + 30.0, FARTHEST_M))
-    return Scene(name, camera, lanes, along, across, road, background, (-25.0, reach))
+    return RoadScene(name, camera, lanes, along, across, road, background, (-25.0, reach))
 
 
 def _fit_to_vehicles(
-    light: Light, sensor: Sensor, real: Tones, scene: Scene, shadows: Shadows, footage: Footage,
+    light: Light, sensor: Sensor, real: Tones, scene: RoadScene, shadows: Shadows, footage: Footage,
     plates: str | None, thresholds: OwnCameraThresholds,
 ) -> tuple[Light, Sensor]:  # fmt: skip
     """Return light and sensor with which rendered vehicles have the tones and details of real ones."""
@@ -193,12 +193,12 @@ def _fit_to_vehicles(
 
 
 def _trial_traffic(
-    scene: Scene, light: Light, plates: str | None, thresholds: OwnCameraThresholds
-) -> list[list[Placed]]:
+    scene: RoadScene, light: Light, plates: str | None, thresholds: OwnCameraThresholds
+) -> list[list[PlacedVehicle]]:
     """Return the vehicles in the scene at several times."""
     count, interval = thresholds.trial_frames, thresholds.trial_interval_s
     trips = random_traffic(scene, count * interval, thresholds.trial_seed, per_minute=thresholds.trial_per_minute)
-    moments: list[list[Placed]] = [[] for _ in range(count)]
+    moments: list[list[PlacedVehicle]] = [[] for _ in range(count)]
     for trip in trips:
         first, last = trip.span_s((0.0, thresholds.depth_m))
         times = [k for k in range(count) if first <= k * interval <= last]
@@ -207,12 +207,12 @@ def _trial_traffic(
             for k in times:
                 centre = trip.near_point(k * interval) + np.array([trip.size_lwh[0] / 2, 0.0])
                 speed = trip.speed_ms(k * interval)
-                moments[k].append(Placed(trip.track_id, vehicle, centre, trip.lane.heading, speed))
+                moments[k].append(PlacedVehicle(trip.track_id, vehicle, centre, trip.lane.heading, speed))
     return moments
 
 
 def _trial_frames(
-    scene: Scene, light: Light, sensor: Sensor, traffic: list[list[Placed]]
+    scene: RoadScene, light: Light, sensor: Sensor, traffic: list[list[PlacedVehicle]]
 ) -> tuple[NDArray[np.uint8], list[NDArray[np.bool_]]]:
     """Render traffic; return (K, H, W, 3) uint8 BGR frames and for each (H, W) where vehicles are."""
     assert scene.background is not None
@@ -226,7 +226,7 @@ def _trial_frames(
 
 
 def _words(
-    footage: Footage, scene: Scene, light: Light, sensor: Sensor, shadows: Shadows, real: Tones | None
+    footage: Footage, scene: RoadScene, light: Light, sensor: Sensor, shadows: Shadows, real: Tones | None
 ) -> dict[str, str]:
     """Return what was estimated, in words."""
     ways = {1: "away", -1: "closer"}

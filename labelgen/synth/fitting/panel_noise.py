@@ -81,8 +81,8 @@ def fit_to_panels(
     if not len(known):
         return noise_model
     at_most = np.interp(np.arange(len(noise)), known, noise[known]) / thresholds.white_noise_share
-    # Shape adds to the measured noise and never takes away, and similar brightnesses have similar noise: the least
-    # noisy ones limit their neighbours.
+    # Shape can only add to the measured noise, and similar brightnesses have similar noise. So the least noisy ones
+    # limit their neighbours.
     apart = np.abs(np.subtract.outer(np.arange(len(noise)), np.arange(len(noise))))
     at_most = (at_most[None] * thresholds.level_factor**apart).min(axis=1)
     shares = np.clip(at_most / np.maximum(noise_model.grey, 0.1), 0, 1)

@@ -43,6 +43,7 @@ class SensorThresholds:
 
     Args:
         levels: number of brightnesses, spread evenly from 0 to 255, at which noise is measured.
+        changed_levels: difference from the background from which a pixel is not still, grey levels.
         min_pixels: still pixels that a frame, and a brightness, must have.
         local_px: sigma of the window whose mean is taken off noise, px: light changes slowly over the picture.
         reach_px, step_px: extent of an edge's profile on either side, and its resolution.
@@ -61,6 +62,7 @@ class SensorThresholds:
     """
 
     levels: int = 9
+    changed_levels: int = FOOTAGE.changed_levels
     min_pixels: int = 400
     local_px: float = 6.0
     reach_px: float = 5.0
@@ -135,13 +137,13 @@ def measure_noise(
     levels: list[NDArray[np.float32]] = []
     together = np.zeros((3, 2))
     for frame in frames[:: max(1, len(frames) // 24)]:
-        same = cv2.absdiff(frame, background).max(axis=2) <= FOOTAGE.changed_levels
+        same = cv2.absdiff(frame, background).max(axis=2) <= thresholds.changed_levels
         still = cv2.erode(same.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.bool_)
         still &= flat
         if np.count_nonzero(still) < thresholds.min_pixels:
             continue
         off = cv2.cvtColor(frame, cv2.COLOR_BGR2YCrCb).astype(np.float32) - base
-        # Light that changes slowly over the picture is no noise.
+        # Differences that vary slowly over the picture are changes of light.
         share = cv2.GaussianBlur(still.astype(np.float32), (0, 0), thresholds.local_px) + 1e-6
         pairs = still[:, 1:] & still[:, :-1]
         for k in range(3):
@@ -225,7 +227,7 @@ def edge_profile(
     even = np.maximum(profiles[:, :end].std(axis=1), profiles[:, -end:].std(axis=1))
     # Lines narrower than that, such as far lane markings, would look as if they had halos.
     good = (high - low > thresholds.min_contrast) & (even < 0.05 * (high - low))
-    # Clipped to white or black, a step tells nothing of halos.
+    # A step that is clipped to white or black hides its halos.
     good &= (profiles.max(axis=1) < 250) & (profiles.min(axis=1) > 4)
     if not good.any():
         return np.clip(across / thresholds.reach_px, 0, 1), 0
@@ -280,7 +282,7 @@ def _step(blur: float, sharpen: float, thresholds: SensorThresholds) -> NDArray[
         padded = np.pad(values, len(kernel) // 2, mode="edge")
         return np.convolve(padded, kernel / kernel.sum(), mode="valid")[: len(values)]
 
-    # A pixel is as wide as a blur of 0.29 px, and reading between pixels softens a little once more.
+    # Integration over a pixel equals a blur of 0.29 px, and interpolation between pixels adds a little.
     lens = soft(step, float(np.hypot(blur, 0.35)))
     lens += sharpen * (lens - soft(lens, HALO_PX))
     at: NDArray[np.float64] = np.interp(across, x, lens)

@@ -72,16 +72,18 @@ class Shadows:
         left: share of the road's grey levels that a shadow leaves; None where no shadow stands out.
         sun: (3,) unit vector towards the sun in the road frame; None without the sun, or where it is not known.
         cars: number of vehicles from which the direction is estimated.
+        sunny_below: see `SunThresholds`.
     """
 
     left: float | None
     sun: NDArray[np.float64] | None
     cars: int
+    sunny_below: float = SUN.sunny_below
 
     @property
     def sunny(self) -> bool:
         """Whether the sun shines."""
-        return self.left is not None and self.left < SUN.sunny_below
+        return self.left is not None and self.left < self.sunny_below
 
 
 def find_shadows(footage: Footage, camera: Camera, road: Mask, thresholds: SunThresholds = SUN) -> Shadows:
@@ -108,9 +110,9 @@ def find_shadows(footage: Footage, camera: Camera, road: Mask, thresholds: SunTh
     smooth = np.convolve(counts, [0.25, 0.5, 0.25], mode="same")
     peak = int(smooth.argmax())
     if smooth[max(0, peak - 2) : peak + 3].sum() < thresholds.peak_share * max(changed, 1):
-        return Shadows(None, None, 0)
+        return Shadows(None, None, 0, thresholds.sunny_below)
     left = (peak + 0.5) / thresholds.histogram_bins
-    without_direction = Shadows(left, None, 0)
+    without_direction = Shadows(left, None, 0, thresholds.sunny_below)
     if not without_direction.sunny or left < thresholds.too_dark:
         return without_direction
     spread = thresholds.shadow_spread
@@ -119,7 +121,7 @@ def find_shadows(footage: Footage, camera: Camera, road: Mask, thresholds: SunTh
         return without_direction
     step = max(1, len(cars) // thresholds.max_cars)
     direction = _direction(cars[::step], camera, thresholds)
-    return Shadows(left, direction, len(cars[::step]))
+    return Shadows(left, direction, len(cars[::step]), thresholds.sunny_below)
 
 
 @dataclass(frozen=True, eq=False)

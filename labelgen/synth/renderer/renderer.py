@@ -1,8 +1,8 @@
-"""Vehicles into frames.
+"""Draw vehicles into frames.
 
-A frame is the picture of the empty road, darkened by the vehicles' shadows, with the vehicles drawn over it from far
-to near, each in its own window, and then the sensor's noise. Each vehicle's mask is cut from the same samples that
-give its pixels.
+A frame is the picture of the empty road, darkened by the vehicles' shadows. The vehicles are drawn over it from far to
+near, each in its own window; the sensor's noise comes last. Each vehicle's mask comes from the same samples as its
+pixels.
 """
 
 from __future__ import annotations
@@ -26,28 +26,32 @@ from labelgen.synth.shading.rasterizer import darken, lay_over, shade, visible_t
 from labelgen.synth.vehicle.mesh import Mesh
 from labelgen.synth.vehicle.vehicle import VehicleModel
 
-__all__ = ["Drawn", "Placed", "Renderer", "covered_by", "painting_order"]
+__all__ = ["DrawnVehicle", "PlacedVehicle", "Renderer", "covered_by", "painting_order"]
 
 _MIN_DEPTH = 1.0
+"""Depth of a vertex, metres, below which its vehicle is not drawn: it is beside or behind the camera."""
 _MARGIN = 8
+"""Pixels around a vehicle that are drawn with it, for its blur."""
 _SMALL_SHADOW_PX = 60
+"""Size of a shadow in the frame below which it is drawn at full resolution."""
 _FINE_PX, _FINE_IN_PICTURE_PX, _ROUGH_PX = 110, 260, 500
-"""Size of a vehicle's window below which a pixel takes nine samples, beside real ones too, and from which one."""
+"""Size of a vehicle's window, px, below which a pixel takes nine samples, the same in a real picture, and the size from
+which it takes one; four between. More samples cost time, fewer show steps along edges."""
 _SUNNY = 0.3
-"""Light of the sun from which on it leaves glints."""
+"""Irradiance of the sun above which vehicles have glints."""
 _NOTHING = np.zeros((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """A vehicle on the road.
+class PlacedVehicle:
+    """A vehicle at its place on the road.
 
     Args:
-        track_id: number of the vehicle; its shadow is kept under it.
-        vehicle: what it is.
+        track_id: number of the vehicle; its shadow is kept under this number.
+        vehicle: its model.
         centre_xy: (2,) metres, middle of its cuboid's floor in the road frame.
         heading: +1 away from the camera, -1 towards it.
-        speed_ms: for motion blur.
+        speed_ms: speed for its motion blur, m/s.
     """
 
     track_id: int
@@ -58,25 +62,25 @@ class Placed:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """x0, x1, y0, y1 metres on the road."""
+        """Ground that it covers: x0, x1, y0, y1, metres on the road."""
         half = self.vehicle.size_lwh / 2
         x, y = self.centre_xy
         return x - half[0], x + half[0], y - half[1], y + half[1]
 
     def world(self) -> NDArray[np.float64]:
-        """(V, 3) vertices of its mesh in the road frame."""
+        """Return the vertices of its mesh (V, 3) in the road frame, metres."""
         turned = self.vehicle.mesh.vertices * np.array([self.heading, self.heading, 1.0])
         turned[:, :2] += self.centre_xy
         return np.asarray(turned)
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """What the truth needs to know of a vehicle in a frame.
+class DrawnVehicle:
+    """Exact mask and outline of a vehicle in a frame.
 
     Args:
         track_id: number of the vehicle.
-        mask: (h, w) bool, its visible pixels without those of wing mirrors that stand out.
+        mask: (h, w) bool, its visible pixels without those of wing mirrors.
         origin_px: (x, y) frame px of the mask's first pixel.
         visible: share of the pixels it would cover alone that are visible.
         outline_xyxy: (4,) px, around its projected mesh without wing mirrors, hidden and outside parts included.
@@ -89,8 +93,8 @@ class Drawn:
     outline_xyxy: NDArray[np.float64]
 
 
-def covered_by(drawn: Sequence[Drawn], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(H, W) where a frame of this height and width shows vehicles."""
+def covered_by(drawn: Sequence[DrawnVehicle], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return (H, W) bool: where a frame of this height and width shows vehicles."""
     out = np.zeros(size_hw, dtype=np.bool_)
     for vehicle in drawn:
         (x, y), (h, w) = vehicle.origin_px, vehicle.mask.shape
@@ -98,14 +102,14 @@ def covered_by(drawn: Sequence[Drawn], size_hw: tuple[int, ...]) -> NDArray[np.b
     return out
 
 
-def painting_order(vehicles: Sequence[Placed]) -> list[int]:
-    """Indices from back to front, for a camera above X = 0, Y = 0."""
+def painting_order(vehicles: Sequence[PlacedVehicle]) -> list[int]:
+    """Return the vehicles' indices from back to front, for a camera above X = 0, Y = 0."""
 
-    def behind(a: Placed, b: Placed) -> bool:
+    def behind(a: PlacedVehicle, b: PlacedVehicle) -> bool:
         """Whether `a` may be hidden by `b`."""
         ax0, ax1, ay0, ay1 = a.bounds
         bx0, bx1, by0, by1 = b.bounds
-        # A plane between the two decides: who stands on the camera's side of it may hide the other.
+        # A plane between the two decides: the one on the camera's side of it may hide the other.
         if ay0 >= by1:
             return by1 > 0
         if by0 >= ay1:
@@ -125,17 +129,17 @@ def painting_order(vehicles: Sequence[Placed]) -> list[int]:
                 behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])
             )
         )
-        chosen = next(free, left[0])
-        left.remove(chosen)
-        order.append(chosen)
+        farthest = next(free, left[0])
+        left.remove(farthest)
+        order.append(farthest)
     return order
 
 
 class Renderer:
-    """Draws frames of one camera and one light.
+    """Renderer of the frames of one camera in one light.
 
     Args:
-        camera: with a scale and an image size.
+        camera: with scale and image size.
         background: (H, W, 3) uint8 BGR, the empty road.
         light: sun, sky and sensor.
         seed: of the noise.
@@ -166,7 +170,7 @@ class Renderer:
         self._stars = Glints(arms, np.random.default_rng([seed, 78]))
 
     def _noise_tile(self) -> NDArray[np.uint8]:
-        """A tile of noise around 128, larger than the frame so that every frame takes another part of it."""
+        """Return a tile of noise around 128, larger than the frame so that every frame takes another part of it."""
         width, height = self.size_wh
         shape = (height + 128, width + 128)
         grey: Any = self._rng.normal(0, self.light.noise, shape).astype(np.float32)
@@ -176,17 +180,17 @@ class Renderer:
         return np.asarray(np.clip(128 + grey[..., None] + colour, 0, 255).round(), dtype=np.uint8)
 
     def frame(
-        self, vehicles: Sequence[Placed], *, number: int = 0, time_s: float = 0.0
-    ) -> tuple[NDArray[np.uint8], list[Drawn]]:
-        """One frame and the masks of the vehicles that show in it.
+        self, vehicles: Sequence[PlacedVehicle], *, number: int = 0, time_s: float = 0.0
+    ) -> tuple[NDArray[np.uint8], list[DrawnVehicle]]:
+        """Draw one frame, and return the masks of the vehicles that show in it.
 
         Args:
-            vehicles: all that may show.
-            number: picks the noise.
+            vehicles: those that may show.
+            number: of the frame; picks the noise.
             time_s: since the first frame, for burnt-in clocks.
 
         Returns:
-            (H, W, 3) uint8 BGR, and one `Drawn` per vehicle with at least one visible pixel.
+            (H, W, 3) uint8 BGR, and one `DrawnVehicle` per vehicle with at least one visible pixel.
         """
         image = self._road.copy()
         ordered = [vehicles[i] for i in painting_order(vehicles)]
@@ -199,28 +203,28 @@ class Renderer:
         self.sensor.write(image, time_s)
         return image, drawn
 
-    def truth(self, vehicles: Sequence[Placed]) -> list[Drawn]:
-        """The masks alone, as `frame` gives them, without drawing."""
+    def truth(self, vehicles: Sequence[PlacedVehicle]) -> list[DrawnVehicle]:
+        """Return the masks that `frame` returns, without drawing."""
         ordered = [vehicles[i] for i in painting_order(vehicles)]
         return _visible_parts([x for x in (self._draw(None, placed) for placed in ordered) if x is not None])
 
     def forget(self, track_ids: set[int]) -> None:
-        """Drop what is kept for vehicles that have gone."""
+        """Drop the shadows of vehicles that have left the scene."""
         for track_id in track_ids:
             self._shadows.pop(track_id, None)
 
-    def prepare(self, placed: Placed) -> None:
-        """Do now what a vehicle's first frame would have to wait for."""
+    def prepare(self, placed: PlacedVehicle) -> None:
+        """Make a vehicle's shadow before its first frame."""
         self._shadow_of(placed)
 
-    def _shadow_of(self, placed: Placed) -> GroundShadow:
+    def _shadow_of(self, placed: PlacedVehicle) -> GroundShadow:
         shadow = self._shadows.get(placed.track_id)
         if shadow is None:
             shadow = ground_shadow(placed.vehicle, placed.heading, self.light)
             self._shadows[placed.track_id] = shadow
         return shadow
 
-    def _cast_shadow(self, image: NDArray[np.uint8], placed: Placed) -> None:
+    def _cast_shadow(self, image: NDArray[np.uint8], placed: PlacedVehicle) -> None:
         shadow = self._shadow_of(placed)
         h, w = shadow.left.shape
         corners_map = np.array([[0, 0, 1], [w - 1, 0, 1], [w - 1, h - 1, 1], [0, h - 1, 1]], dtype=np.float64)
@@ -253,8 +257,8 @@ class Renderer:
         cover = _NOTHING if self.static_layer is None else self.static_layer.cover[y0:y1, x0:x1]
         darken(image[y0:y1, x0:x1], left, cover, self._shadow_colours)
 
-    def _clear(self, placed: Placed) -> float:
-        """Share of the light that passes the air between the vehicle and the camera."""
+    def _clear(self, placed: PlacedVehicle) -> float:
+        """Return the share of light that passes the air between a vehicle and the camera."""
         return float(np.exp(-self.light.haze_per_m * np.hypot(np.hypot(*placed.centre_xy), self.camera.height_m)))
 
     def _window(self, pixels: NDArray[Any], margin: int = 0) -> tuple[int, int, int, int] | None:
@@ -264,7 +268,7 @@ class Renderer:
         x1, y1 = min(int(high[0]), self.size_wh[0]), min(int(high[1]), self.size_wh[1])
         return None if x0 >= x1 or y0 >= y1 else (x0, y0, x1, y1)
 
-    def _draw(self, image: NDArray[np.uint8] | None, placed: Placed) -> _Layer | None:
+    def _draw(self, image: NDArray[np.uint8] | None, placed: PlacedVehicle) -> _Layer | None:
         camera, mesh = self.camera, placed.vehicle.mesh
         world = placed.world()
         depth = (world - np.array([0.0, 0.0, camera.height_m])) @ camera.axes[:, 2]
@@ -291,10 +295,10 @@ class Renderer:
         return _Layer(placed.track_id, mask, alone, (x0, y0), outline)
 
     def _paint(
-        self, image: NDArray[np.uint8], placed: Placed, screen: NDArray[np.float64], centres: NDArray[np.int32],
+        self, image: NDArray[np.uint8], placed: PlacedVehicle, screen: NDArray[np.float64], centres: NDArray[np.int32],
         window: tuple[int, int, int, int], hidden: NDArray[np.uint8] | None,
     ) -> None:  # fmt: skip
-        """Shade a vehicle and lay it over its window of the frame, save what stands before it."""
+        """Shade a vehicle and lay it over its window of the frame, except where props hide it."""
         x0, y0, x1, y1 = window
         size, origin = (x1 - x0, y1 - y0), (float(x0), float(y0))
         mesh, camera = placed.vehicle.mesh, self.camera
@@ -316,8 +320,8 @@ class Renderer:
         lay_over(image[y0:y1, x0:x1], layer, before)
         self._stars.add(image, layer, (x0, y0), before)
 
-    def _soften(self, layer: Any, placed: Placed) -> Any:
-        """Lens blur, and motion blur along the vehicle's path in the image."""
+    def _soften(self, layer: Any, placed: PlacedVehicle) -> Any:
+        """Blur a vehicle's layer as its lens and its motion along its path do."""
         layer = cv2.GaussianBlur(layer, (0, 0), self.sensor.blur_px)
         x, y = placed.centre_xy
         step = placed.speed_ms * self.light.shutter_s
@@ -338,7 +342,7 @@ class Renderer:
         return layer
 
     def _into_picture(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The picture, which has the camera's faults already, with what was drawn on the road as it was before them."""
+        """Transfer what was drawn on the road without the camera's faults into the picture, which has them."""
         out = self.background.copy()
         rows = np.flatnonzero((image != self._road).any(axis=(1, 2)))
         if len(rows):
@@ -351,7 +355,7 @@ class Renderer:
             cv2.add(out[band], change, dst=out[band], dtype=cv2.CV_8U)
         return out
 
-    def _add_noise(self, image: NDArray[np.uint8], number: int, drawn: Sequence[Drawn]) -> None:
+    def _add_noise(self, image: NDArray[np.uint8], number: int, drawn: Sequence[DrawnVehicle]) -> None:
         if self.sensor.noise_model is not None:
             self.sensor.noise_model.add(image, self._noise, number, covered_by(drawn, image.shape[:2]))
             return
@@ -373,7 +377,7 @@ class _Layer:
 def _body_mask(
     ids: NDArray[np.int32], screen: NDArray[np.float64], mesh: Mesh, origin: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """The pixels whose centre the body covers: what is drawn without what is not of the body."""
+    """Return the pixels whose centre the body covers: those drawn, without those of parts outside the body."""
     mask = ids >= 0
     beside = ids >= len(mesh.body)
     rows, columns = np.flatnonzero(beside.any(axis=1)), np.flatnonzero(beside.any(axis=0))
@@ -385,8 +389,8 @@ def _body_mask(
     return mask
 
 
-def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:
-    """Cut from each mask what later layers cover; what stands still is cut from it already."""
+def _visible_parts(layers: Sequence[_Layer]) -> list[DrawnVehicle]:
+    """Remove from each mask what later layers cover; what props cover has been removed before."""
     drawn = []
     for i, layer in enumerate(layers):
         mask = layer.mask.copy()
@@ -398,7 +402,7 @@ def _visible_parts(layers: Sequence[_Layer]) -> list[Drawn]:
             x0, y0, x1, y1 = max(x, ox), max(y, oy), min(x + w, ox + ow), min(y + h, oy + oh)
             if x0 < x1 and y0 < y1:
                 mask[y0 - y : y1 - y, x0 - x : x1 - x] &= ~other.mask[y0 - oy : y1 - oy, x0 - ox : x1 - ox]
-        seen = int(np.count_nonzero(mask))
-        if seen:
-            drawn.append(Drawn(layer.track_id, mask, layer.origin_px, seen / layer.alone, layer.outline_xyxy))
+        visible = int(np.count_nonzero(mask))
+        if visible:
+            drawn.append(DrawnVehicle(layer.track_id, mask, layer.origin_px, visible / layer.alone, layer.outline_xyxy))
     return drawn

@@ -1,7 +1,7 @@
 """Shadows on the road, drawn once per vehicle as a map around it.
 
-A vehicle keeps its heading and the sun its place, so how much light reaches each spot of the road beneath and
-beside it does not change while it drives: the map is drawn in metres and then only warped into the frame.
+A vehicle keeps its heading and the sun its place, so the light on the road around the vehicle does not change while it
+drives. The map is drawn in metres and warped into each frame.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ from labelgen.synth.vehicle.vehicle import VehicleModel
 __all__ = ["GroundShadow", "ground_shadow", "shadow_colours"]
 
 _CELL = 0.04
+"""Side of a map cell, metres."""
 _SKY_DIRECTIONS = 24
+"""Directions from which skylight comes: more give smoother shadows and take longer."""
 _PENUMBRA_M = 0.025
-"""Sigma of the blur of the sun's shadow: half a degree of sun from a metre or two above."""
+"""Sigma of the blur of the sun's shadow, metres: the sun is half a degree wide, the vehicle a metre or two high."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class GroundShadow:
     """Shadow on the road around a vehicle.
 
     Args:
-        left: (h, w) uint8, what is left of the open road's grey levels, 255 (all of them) at the border.
+        left: (h, w) uint8, share that is left of the open road's grey levels; 255 at the border, all of them.
         to_body: (3, 3) map px -> metres x, y in the road frame relative to the vehicle's origin.
     """
 
@@ -39,7 +41,7 @@ class GroundShadow:
 
 
 def _hulls(vehicle: VehicleModel) -> list[NDArray[np.float64]]:
-    """Convex pieces of the vehicle, as points: slices along its length, so that a low bonnet shades less; mirrors."""
+    """Return convex pieces of the vehicle as points: mirrors, and slices along its length that keep a bonnet low."""
     points = _with_points_on_long_edges(vehicle)
     length = vehicle.size_lwh[0]
     edges = np.linspace(-length / 2, length / 2, 7)
@@ -56,7 +58,7 @@ def _hulls(vehicle: VehicleModel) -> list[NDArray[np.float64]]:
 
 
 def _with_points_on_long_edges(vehicle: VehicleModel) -> NDArray[np.float64]:
-    """The mesh's vertices, and points every few decimetres where edges are long, as those of a box body."""
+    """Return the mesh's vertices, and points every few decimetres on long edges such as those of a box body."""
     vertices, triangles = vehicle.mesh.vertices, vehicle.mesh.body
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
@@ -68,7 +70,7 @@ def _with_points_on_long_edges(vehicle: VehicleModel) -> NDArray[np.float64]:
 
 
 def ground_shadow(vehicle: VehicleModel, heading: int, light: Light) -> GroundShadow:
-    """Shadow map of a vehicle that drives towards +X (heading 1) or -X (heading -1)."""
+    """Draw the shadow map of a vehicle that drives towards +X (heading 1) or -X (heading -1)."""
     pieces = [p * np.array([heading, heading, 1.0]) for p in _hulls(vehicle)]
     sun, top = light.sun_direction, vehicle.size_lwh[2]
     strength = light.sun * max(sun[2], 0.0)
@@ -122,7 +124,10 @@ def ground_shadow(vehicle: VehicleModel, heading: int, light: Light) -> GroundSh
 
 
 def shadow_colours(light: Light) -> NDArray[np.float32]:
-    """(256, 3) BGR, what a shadow leaves of each colour, by what it leaves of the grey levels: sky alone lights it."""
+    """Return (256, 3) BGR: the share a shadow leaves of each colour, by the share it leaves of the grey levels.
+
+    The sky alone lights a shadow, which tints it.
+    """
     sun = light.sun * max(light.sun_direction[2], 0.0)
     sky_share = float(light.ambient.sum() / (sun.sum() + light.ambient.sum()))
     shares = np.linspace(0, 1, 256)

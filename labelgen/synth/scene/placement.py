@@ -1,7 +1,7 @@
-"""Where things stand beside a made-up road.
+"""Place props beside a made-up road.
 
-A scene is a motorway, a country road or a street in a town, and what stands there is chosen accordingly; nothing of
-it is a vehicle, and nothing stands on a lane.
+A scene is a motorway, a country road or a street in a town; its props are chosen accordingly. No prop is a vehicle,
+and none stands on a lane.
 """
 
 from __future__ import annotations
@@ -12,15 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from labelgen.synth.scene.props import ALONG, AT, gantry
-from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.scene import RoadScene, carriageways
 from labelgen.synth.scene.triangles import Triangles
 
-__all__ = ["KINDS", "Prop", "place_props"]
+__all__ = ["Prop", "place_props"]
 
-KINDS = (*ALONG, *AT, "gantry")
-"""Every kind of thing that may stand beside the road."""
-
-# Per setting: how likely a barrier stands at the road's edge and which; what stands behind it.
+# Per setting: the probability of each barrier at the road's edge and of each row behind it, none with what is missing
+# to 1; and the relative frequency of single props.
 _SETTINGS: dict[str, dict[str, dict[str, float]]] = {
     "motorway": {
         "edge": {"guard rail": 0.7, "concrete barrier": 0.2},
@@ -42,6 +40,7 @@ _SETTINGS: dict[str, dict[str, dict[str, float]]] = {
     },
 }  # fmt: skip
 _FAR_M = 130.0
+"""X up to which rows run, metres."""
 _FREE_M = 4.8
 """Height above the lanes that stays free, metres."""
 _TALL = ("tree", "building", "bus stop", "utility pole", "wall")
@@ -49,10 +48,10 @@ _TALL = ("tree", "building", "bus stop", "utility pole", "wall")
 
 @dataclass(frozen=True, eq=False)
 class Prop:
-    """One thing.
+    """One prop.
 
     Args:
-        kind: one of `KINDS`.
+        kind: a key of `ALONG` or `AT` of `labelgen.synth.scene.props`, or "gantry".
         triangles: its triangles, road frame.
     """
 
@@ -61,17 +60,17 @@ class Prop:
 
 
 def _one_of(shares: dict[str, float], rng: np.random.Generator) -> str | None:
-    """A name by its share; None for what is missing to 1."""
+    """Return a name, each with its probability; None with what is missing to 1."""
     names, values = list(shares), np.array(list(shares.values()))
     at = int(np.searchsorted(np.cumsum(values), rng.random()))
     return names[at] if at < len(names) else None
 
 
-def place_props(scene: Scene, shoulder_m: float, rng: np.random.Generator) -> list[Prop]:
-    """Everything that stands beside, between and over the carriageways.
+def place_props(scene: RoadScene, shoulder_m: float, rng: np.random.Generator) -> list[Prop]:
+    """Place props beside, between and over the carriageways.
 
     Args:
-        scene: a made-up one.
+        scene: from `procedural_scene`.
         shoulder_m: paved width beside the lanes.
         rng: decides everything.
     """
@@ -92,7 +91,7 @@ def place_props(scene: Scene, shoulder_m: float, rng: np.random.Generator) -> li
 
 
 def _stretch(rng: np.random.Generator) -> tuple[float, float]:
-    """From where to where something runs along the road: mostly all of it."""
+    """Return from where to where a row runs along the road, metres: mostly all of it."""
     start = 3.0 if rng.random() < 0.7 else rng.uniform(8, 40)
     return start, min(start + rng.uniform(25, 200), _FAR_M)
 
@@ -101,7 +100,7 @@ def _verge(
     edge: float, side: int, shoulder_m: float, setting: dict[str, dict[str, float]], density: float,
     rng: np.random.Generator,
 ) -> Iterator[Prop]:  # fmt: skip
-    """One side of the road, from the edge outwards."""
+    """Place props on one side of the road, from the edge outwards."""
     at = shoulder_m + rng.uniform(0.3, 0.9)
     barrier = _one_of(setting["edge"], rng)
     if barrier is not None:
@@ -125,7 +124,7 @@ def _verge(
 
 
 def _clear_of_road(triangles: Triangles, edge: float, side: int) -> Triangles:
-    """The thing moved away from the road as far as it takes to keep the space above the lanes free."""
+    """Move triangles away from the road as far as needed to keep the space above the lanes free."""
     low = triangles.corners[triangles.corners[..., 2] < _FREE_M]
     if not len(low):
         return triangles
@@ -134,7 +133,7 @@ def _clear_of_road(triangles: Triangles, edge: float, side: int) -> Triangles:
 
 
 def _median(low: float, high: float, rng: np.random.Generator) -> Iterator[Prop]:
-    """Between two carriageways."""
+    """Place props between two carriageways."""
     middle, wide = (low + high) / 2, high - low
     kinds = {"guard rail": 0.35, "concrete barrier": 0.2, "railing": 0.2}
     if wide > 2.2:

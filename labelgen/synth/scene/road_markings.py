@@ -1,4 +1,4 @@
-"""What lies on the lanes: arrows, words, crossings, patches, cracks, joints, stains; a map seen from above."""
+"""Paint and wear on the lanes as a map from above: arrows, words, crossings, patches, cracks, joints, stains."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.scene.scene import LANE_WIDTH, Scene, carriageways
+from labelgen.synth.scene.scene import LANE_WIDTH, RoadScene, carriageways
 
 __all__ = ["Surface", "draw_surface"]
 
 _CELL = 0.05
+"""Side of a map cell, metres."""
 _LENGTH_M = 140.0
+"""Length of the map along the road, metres."""
 Plane = NDArray[np.float32]
 
 
@@ -23,7 +25,8 @@ class Surface:
     """Paint and wear on the lanes.
 
     Args:
-        levels: per halving along the road, (h, w, 2) uint8: share of paint; and tone, 128 for plain asphalt.
+        levels: (h, w, 2) uint8 each, every level half as long as the one before: share of paint, 255 for all; and tone,
+            128 for plain asphalt.
         low_y: metres, y of the map's first row.
     """
 
@@ -31,19 +34,24 @@ class Surface:
     low_y: float
 
     def at(self, x: Plane, y: Plane, footprint: Plane) -> tuple[Plane, Plane]:
-        """Share of paint and factor on the asphalt at metres on the road; `footprint`: metres per sample."""
+        """Return the share of paint and the factor on the asphalt at places on the road.
+
+        Args:
+            x, y: (h, w) metres.
+            footprint: (h, w) metres that a sample covers; their median picks the level.
+        """
         level = int(np.clip(np.log2(max(float(np.median(footprint)) * 5 / _CELL, 1.0)), 0, len(self.levels) - 1))
         plane = self.levels[level]
         column = (x * np.float32(1 / (_CELL * 2**level))).astype(np.int32)
         row = ((y - np.float32(self.low_y)) * np.float32(1 / _CELL)).astype(np.int32)
         inside = (column >= 0) & (row >= 0) & (column < plane.shape[1]) & (row < plane.shape[0])
-        found = plane[np.where(inside, row, 0), np.where(inside, column, 0)].astype(np.float32)
-        paint = np.where(inside, found[..., 0] / 255, np.float32(0))
-        return paint, np.where(inside, found[..., 1] / 128, np.float32(1))
+        cells = plane[np.where(inside, row, 0), np.where(inside, column, 0)].astype(np.float32)
+        paint = np.where(inside, cells[..., 0] / 255, np.float32(0))
+        return paint, np.where(inside, cells[..., 1] / 128, np.float32(1))
 
 
 class _Sheet:
-    """Draws in metres."""
+    """A map of paint and one of tone to draw on, in metres."""
 
     def __init__(self, low_y: float, high_y: float) -> None:
         self.low_y = low_y
@@ -67,7 +75,7 @@ class _Sheet:
 
 
 def _arrow(sheet: _Sheet, x: float, y: float, heading: int, kind: int) -> None:
-    """A lane arrow 5 m long: straight on, or with a bend to one side."""
+    """Draw a lane arrow 5 m long: straight on, or with a bend to one side."""
     stem = [(0, -0.08), (2.6, -0.08), (2.6, 0.08), (0, 0.08)]
     tip = [(2.6, -0.35), (5.0, 0), (2.6, 0.35)]
     bend = [(1.4, 0.06), (2.6, 0.55), (2.3, 0.75), (4.0, 0.95), (3.2, 0.25), (2.9, 0.40), (1.9, -0.06)]
@@ -78,13 +86,13 @@ def _arrow(sheet: _Sheet, x: float, y: float, heading: int, kind: int) -> None:
 
 
 def _word(sheet: _Sheet, x: float, y: float, heading: int, rng: np.random.Generator) -> None:
-    """A word or a number, stretched along the road."""
+    """Draw a word or a number, stretched along the road."""
     text = str(rng.choice(["BUS", "50", "SLOW", "TAXI", "70", "STOP", "A6"]))
     (wide, tall), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 2.0, 8)
     page: Any = np.zeros((tall + 20, wide + 20), np.uint8)
     cv2.putText(page, text, (10, tall + 10), cv2.FONT_HERSHEY_SIMPLEX, 2.0, 235, 8, cv2.LINE_AA)
     page = cv2.resize(page, (int(2.4 / _CELL), int(4.0 / _CELL)), interpolation=cv2.INTER_AREA)
-    # Read by who drives there: its top lies ahead, its left on the driver's left.
+    # The driver reads it: its top lies ahead, its left on the driver's left.
     turned = np.rot90(page, -1 if heading > 0 else 1)[::-1]
     column, row = int(x / _CELL), int((y - sheet.low_y - 1.2) / _CELL)
     part = sheet.paint[max(row, 0) : row + turned.shape[0], column : column + turned.shape[1]]
@@ -92,7 +100,7 @@ def _word(sheet: _Sheet, x: float, y: float, heading: int, rng: np.random.Genera
 
 
 def _wear(sheet: _Sheet, low: float, high: float, rng: np.random.Generator) -> None:
-    """Patches, filled cracks, joints, manholes, stains, tyre marks on one carriageway."""
+    """Draw patches, filled cracks, joints, manholes, stains and tyre marks on one carriageway."""
     tone = sheet.tone
     for _ in range(int(rng.integers(0, 7))):
         x, y = rng.uniform(0, 120), rng.uniform(low, high - 1)
@@ -114,8 +122,8 @@ def _wear(sheet: _Sheet, low: float, high: float, rng: np.random.Generator) -> N
             sheet.line(tone, [(x, y + side), (x + rng.uniform(4, 20), y + side)], 95, 0.2)
 
 
-def draw_surface(scene: Scene, rng: np.random.Generator) -> Surface:
-    """What lies on the lanes of a made-up scene."""
+def draw_surface(scene: RoadScene, rng: np.random.Generator) -> Surface:
+    """Draw the paint and wear on the lanes of a made-up scene; `rng` decides everything."""
     ways = carriageways(scene)
     sheet = _Sheet(min(w[0] for w in ways) - 4, max(w[1] for w in ways) + 4)
     for low, high, inner in ways:

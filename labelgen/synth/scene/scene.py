@@ -1,4 +1,7 @@
-"""Places where traffic is seen: a camera, lanes, lines across the road, a road mask and a picture of the empty road."""
+"""Places where traffic is filmed: camera, lanes, measurement lines, road mask and a picture of the empty road.
+
+Convention: the road frame of `Camera`, metres: x along the road, y left, z up, the camera above the origin.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,16 @@ from numpy.typing import NDArray
 from labelgen.geometry import Camera
 from labelgen.geometry.camera import look_at_road
 
-__all__ = ["Lane", "Scene", "carriageways", "line_through", "procedural_scene", "road_to_image", "visible_range"]
+__all__ = ["Lane", "RoadScene", "carriageways", "line_through", "procedural_scene", "road_to_image", "visible_range"]
 
 LANE_WIDTH = 3.6
+"""Width of a made-up lane, metres."""
 FARTHEST_M = 140.0
-_LEAST_SEEN_M = 32.0
+"""X beyond which the road is not looked at, metres: vehicles are a few pixels there."""
+_MIN_VISIBLE_LENGTH_M = 32.0
+"""Length of the measured road that a made-up camera must see, metres: less has no room for measurement lines."""
 _TRAFFIC_TO_M = 170.0
+"""X up to which made-up traffic drives, metres: beyond `FARTHEST_M`, so that no vehicle appears within the picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +33,7 @@ class Lane:
     """One lane, straight in the road frame: its middle runs through (x, y) = (0, y0) with slope dy/dx.
 
     Args:
-        y0: metres.
+        y0: y of the middle at x = 0, metres.
         slope: dy/dx; nearly 0.
         heading: +1 away from the camera, -1 towards it.
         speed_kmh: usual speed.
@@ -40,21 +47,21 @@ class Lane:
     index: int | None
 
     def y(self, x: Any) -> Any:
-        """Middle of the lane at x, metres."""
+        """Return y of the middle of the lane at x, metres."""
         return self.y0 + self.slope * np.asarray(x)
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """A place.
+class RoadScene:
+    """A place where traffic is filmed.
 
     Args:
         name: session name.
         camera: with scale and image size.
         lanes: where vehicles drive.
         lane_lines: homogeneous px lines between the measured lanes, one more than those.
-        measurement_lines: homogeneous px lines across the road, the one crossed last first.
-        road_mask: (H, W) bool.
+        measurement_lines: homogeneous px lines across the road; the line that is crossed last comes first.
+        road_mask: (H, W) bool, the measured road.
         background: (H, W, 3) uint8 BGR, the empty road; None until it is drawn.
         x_range: metres, nearest and farthest X at which vehicles are shown.
     """
@@ -70,7 +77,7 @@ class Scene:
 
 
 def visible_range(camera: Camera, y: float, far_m: float = FARTHEST_M) -> tuple[float, float] | None:
-    """Nearest and farthest X at which a point of the road at this Y lies in the frame; None where none does."""
+    """Return the nearest and farthest X, metres, at which the road at this Y is in the frame; None where none is."""
     assert camera.image_wh is not None
     x = np.arange(-30.0, far_m, 0.5)
     pixels = camera.project(np.stack([x, np.full_like(x, y)], axis=1))
@@ -78,12 +85,15 @@ def visible_range(camera: Camera, y: float, far_m: float = FARTHEST_M) -> tuple[
         inside = (pixels >= 0).all(axis=1) & (pixels <= camera.image_wh).all(axis=1)
     if not inside.any():
         return None
-    seen = np.flatnonzero(inside)
-    return float(x[seen[0]]), float(x[seen[-1]])
+    indices = np.flatnonzero(inside)
+    return float(x[indices[0]]), float(x[indices[-1]])
 
 
 def road_to_image(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3) homography from the road, metres, to the image, px; third coordinate positive in front of the camera."""
+    """Return the (3, 3) homography from the road, metres, to the image, px.
+
+    The third coordinate is positive in front of the camera.
+    """
     rotation = camera.axes.T
     intrinsic = np.array([[camera.focal, 0, camera.pp[0]], [0, camera.focal, camera.pp[1]], [0, 0, 1.0]])
     origin = -rotation @ np.array([0.0, 0.0, camera.height_m])
@@ -91,8 +101,8 @@ def road_to_image(camera: Camera) -> NDArray[np.float64]:
     return out
 
 
-def carriageways(scene: Scene) -> list[tuple[float, float, list[float]]]:
-    """Per carriageway of a made-up scene its two borders and the borders between its lanes, metres."""
+def carriageways(scene: RoadScene) -> list[tuple[float, float, list[float]]]:
+    """Return per carriageway of a made-up scene its two borders and the borders between its lanes: y, metres."""
     groups = []
     for measured in (True, False):
         middles = sorted(lane.y0 for lane in scene.lanes if (lane.index is not None) == measured)
@@ -103,7 +113,7 @@ def carriageways(scene: Scene) -> list[tuple[float, float, list[float]]]:
 
 
 def line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float]) -> NDArray[np.float64]:
-    """Homogeneous px line through two points of the road, its normal of unit length."""
+    """Return the homogeneous px line through two road points (x, y), metres; its normal has unit length."""
     p, q = camera.project(np.array([a, b]))
     line = np.cross([*p, 1.0], [*q, 1.0])
     out: NDArray[np.float64] = line / np.hypot(line[0], line[1])
@@ -113,23 +123,22 @@ def line_through(camera: Camera, a: tuple[float, float], b: tuple[float, float])
 def procedural_scene(
     rng: np.random.Generator, size_wh: tuple[int, int], *, heading: int | None = None, name: str = "synthetic",
     both_ways: bool = False, depth_m: float = 60.0, seen_from: tuple[Camera, float] | None = None,
-) -> Scene:  # fmt: skip
-    """A made-up road with one to four lanes, most with a second carriageway, without a picture.
+) -> RoadScene:  # fmt: skip
+    """Make up a road with one to four lanes, most with a second carriageway, without a picture.
 
     Args:
         rng: decides everything.
-        size_wh: frame size.
+        size_wh: frame size, px.
         heading: of the measured carriageway; at random when None.
         name: of the session and its camera.
         both_ways: always have a second carriageway; otherwise most scenes do.
-        depth_m: length of the measured road at most.
-        seen_from: the camera, and how many metres left of it the middle of the measured carriageway lies; made up when
-            None.
+        depth_m: greatest length of the measured road.
+        seen_from: the camera, and y of the middle of the measured carriageway, metres; made up when None.
     """
     lanes_here = int(rng.choice([1, 2, 3, 4], p=[0.08, 0.37, 0.4, 0.15]))
     heading = int(rng.choice([-1, 1], p=[0.6, 0.4])) if heading is None else heading
     camera, middle = seen_from or _made_up_camera(rng, size_wh, name)
-    while seen_from is None and _seen_length(camera, middle) < _LEAST_SEEN_M:
+    while seen_from is None and _visible_length(camera, middle) < _MIN_VISIBLE_LENGTH_M:
         camera, middle = _made_up_camera(rng, size_wh, name)
     distance = float(camera.road_points(camera.pp)[0])
 
@@ -155,17 +164,17 @@ def procedural_scene(
     across = [line_through(camera, (x, edges[0]), (x, edges[-1])) for x in (marks if heading < 0 else marks[::-1])]
     along = [line_through(camera, (near, y), (far, y)) for y in edges]
     mask = _carriageway_mask(camera, edges[0] - 0.5, edges[-1] + 0.5, near - 2.5, far + 15)
-    return Scene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
+    return RoadScene(name, camera, tuple(lanes), tuple(along), tuple(across), mask, None, (-25.0, _TRAFFIC_TO_M))
 
 
-def _seen_length(camera: Camera, y: float) -> float:
-    """How many metres of the road at y lie in the picture."""
+def _visible_length(camera: Camera, y: float) -> float:
+    """Return how many metres of the road at y lie in the picture."""
     near, far = visible_range(camera, y) or (0.0, 0.0)
     return far - near
 
 
 def _made_up_camera(rng: np.random.Generator, size_wh: tuple[int, int], name: str) -> tuple[Camera, float]:
-    """A camera on a bridge, a mast or beside the road, and how far left of it the measured carriageway lies."""
+    """Make up a camera on a bridge, on a mast or beside the road; returns it and y of the measured carriageway."""
     low, high, steepest, aside = ((5.5, 11.5, 24, 7.0), (3.8, 8.0, 20, 12.0), (8.0, 17.0, 36, 14.0))[
         int(rng.choice(3, p=[0.6, 0.2, 0.2]))
     ]

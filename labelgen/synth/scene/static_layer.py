@@ -1,4 +1,4 @@
-"""Things that stand still, drawn into the picture of the road: their pixels, their shadows, and what they hide."""
+"""Props drawn into the picture of the road: their pixels, their shadows, and what they hide."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
 from labelgen.synth.scene.placement import Prop
-from labelgen.synth.scene.scene import Scene, carriageways
+from labelgen.synth.scene.scene import RoadScene, carriageways
 from labelgen.synth.scene.strips import strips
 from labelgen.synth.scene.triangles import Triangles, gather
 from labelgen.synth.shading.lighting import Light
@@ -21,15 +21,18 @@ from labelgen.synth.shading.rasterizer import visible_triangles
 __all__ = ["NO_SHADE", "Shade", "StaticLayer", "draw_props", "draw_shade", "without_view_blockers"]
 
 _SS = 2
+"""Samples per pixel and side."""
 _STRIP = 120
+"""Rows drawn at once: more need more memory."""
 _CELL = 0.1
-_HIDES_AT_MOST = 0.012
-"""Share of the measured road that one thing may hide."""
+"""Side of a cell of the shade map, metres."""
+_MAX_HIDDEN_SHARE = 0.012
+"""Greatest share of the measured road that one prop may hide: more of it would hide too many vehicles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shade:
-    """Sunlight and skylight that reach the ground, as a map.
+    """Map of the sunlight and skylight that reach the ground.
 
     Args:
         sun: (h, w) uint8, 255 in full sun.
@@ -42,7 +45,7 @@ class Shade:
     grid: NDArray[np.float64]
 
     def at(self, plane: NDArray[np.uint8], x: Any, y: Any) -> Any:
-        """Values of `sun` or `sky` in [0, 1] at metres on the road; 1 outside."""
+        """Return values of `sun` or `sky` in [0, 1] at places x, y, metres on the road; 1 outside the map."""
         column = ((x - np.float32(self.grid[0])) * np.float32(self.grid[2])).astype(np.int32)
         row = ((y - np.float32(self.grid[1])) * np.float32(self.grid[2])).astype(np.int32)
         inside = (column >= 0) & (row >= 0) & (column < plane.shape[1]) & (row < plane.shape[0])
@@ -55,12 +58,12 @@ NO_SHADE = Shade(np.full((1, 1), 255, np.uint8), np.full((1, 1), 255, np.uint8),
 
 @dataclass(frozen=True, eq=False)
 class StaticLayer:
-    """What stands in the picture.
+    """The props of a picture, pixel by pixel.
 
     Args:
-        cover: (H, W) uint8, share of each pixel that shows a thing, 255 for all of it.
-        place: (H, W, 2) float32 metres, where on the ground that thing stands; 0 where there is none.
-        shade: what light it leaves.
+        cover: (H, W) uint8, share of each pixel that shows a prop, 255 for all of it.
+        place: (H, W, 2) float32 metres, where on the ground that prop stands; 0 where there is none.
+        shade: the light that the props leave to the ground.
     """
 
     cover: NDArray[np.uint8]
@@ -70,11 +73,14 @@ class StaticLayer:
     def in_front(
         self, window_xyxy: tuple[int, int, int, int], bounds: tuple[float, float, float, float]
     ) -> NDArray[np.uint8] | None:
-        """What part of each pixel of a window shows a thing nearer than who stands on `bounds`; None for none.
+        """Return which share of each pixel of a window shows a prop nearer than a vehicle.
 
         Args:
             window_xyxy: px.
-            bounds: x0, x1, y0, y1 metres on the road; the camera stands above the origin.
+            bounds: ground of the vehicle, x0, x1, y0, y1 metres on the road; the camera stands above the origin.
+
+        Returns:
+            (h, w) uint8, 255 for a whole pixel; None where no prop is nearer.
         """
         x0, y0, x1, y1 = window_xyxy
         cover = self.cover[y0:y1, x0:x1]
@@ -82,7 +88,7 @@ class StaticLayer:
             return None
         x, y = self.place[y0:y1, x0:x1, 0], self.place[y0:y1, x0:x1, 1]
         low_x, high_x, low_y, high_y = bounds
-        # A plane along or across the road parts thing and vehicle; who is on the camera's side of it is in front.
+        # A plane along or across the road parts prop and vehicle; the one on the camera's side of it is in front.
         beside_left, beside_right = y < low_y, y > high_y
         front = (beside_left & (low_y > 0)) | (beside_right & (high_y < 0))
         front |= ~(beside_left | beside_right) & (x < low_x) & (low_x > 0)
@@ -92,7 +98,7 @@ class StaticLayer:
 
 
 def _on_screen(camera: Camera, triangles: Triangles) -> NDArray[np.float64]:
-    """(3 T, 3) frame px and depth of the corners; depth -1 where they cannot be drawn."""
+    """Return the corners (3 T, 3): frame px x, y and depth; depth -1 where they cannot be drawn."""
     points = triangles.corners.reshape(-1, 3).astype(np.float64)
     depth = (points - np.array([0.0, 0.0, camera.height_m])) @ camera.axes[:, 2]
     pixels = np.nan_to_num(camera.project(points), nan=-1e6)
@@ -103,8 +109,8 @@ def _corner_numbers(triangles: Triangles) -> NDArray[np.int32]:
     return np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
 
 
-def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
-    """The things that hide little of the measured road."""
+def without_view_blockers(scene: RoadScene, props: Sequence[Prop]) -> list[Prop]:
+    """Return the props that hide little of the measured road."""
     if not props:
         return []
     camera = scene.camera
@@ -117,12 +123,12 @@ def without_view_blockers(scene: Scene, props: Sequence[Prop]) -> list[Prop]:
     ids = visible_triangles(screen, _corner_numbers(triangles), quarter, (0.0, 0.0), 1, False)
     road = cv2.resize(scene.road_mask.astype(np.uint8), quarter, interpolation=cv2.INTER_NEAREST) > 0
     hidden = np.bincount(owner[ids[road & (ids >= 0)]], minlength=len(props))
-    limit = _HIDES_AT_MOST * max(int(np.count_nonzero(road)), 1)
+    limit = _MAX_HIDDEN_SHARE * max(int(np.count_nonzero(road)), 1)
     return [p for k, p in enumerate(props) if hidden[k] <= limit]
 
 
-def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
-    """What sunlight and skylight the things leave to the road and its verges."""
+def draw_shade(scene: RoadScene, light: Light, props: Sequence[Prop]) -> Shade:
+    """Return the map of sunlight and skylight that the props leave to the road and its verges."""
     if not props:
         return NO_SHADE
     ways = carriageways(scene)
@@ -146,7 +152,7 @@ def draw_shade(scene: Scene, light: Light, props: Sequence[Prop]) -> Shade:
 
 
 def _radiance(camera: Camera, light: Light, triangles: Triangles) -> NDArray[np.float32]:
-    """(T, 3) of each triangle towards the camera."""
+    """Return each triangle's linear RGB radiance (T, 3) towards the camera."""
     middle = triangles.corners.mean(axis=1)
     to_camera = np.array([0.0, 0.0, camera.height_m], dtype=np.float32) - middle
     facing = (to_camera * triangles.normals).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Traffic: which vehicle is where at what time."""
+"""Traffic: which vehicle is where at which time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.synth.scene.scene import Lane, Scene, road_to_image
+from labelgen.synth.scene.scene import Lane, RoadScene, road_to_image
 from labelgen.synth.vehicle.vehicle import VehicleModel, body_kinds, make_vehicle, vehicle_size
 
 __all__ = ["Trip", "near_path_x", "random_traffic"]
@@ -21,11 +21,12 @@ class Trip:
     Args:
         track_id: its number.
         kind: body type.
-        vehicle_seed: everything about its looks.
+        vehicle_seed: seed of its proportions and looks.
         lane: where it drives.
         size_lwh: (3,) metres, its bounding cuboid.
         knots_s: (K,) times, rising.
-        knots_x: (K,) metres, X of the middle of its near bottom edge at those times; linear between and beyond.
+        knots_x: (K,) metres, X of its contact point at those times; linear between and beyond. The contact point is the
+            middle of the bottom edge nearest to the camera.
         offset_y: metres beside the middle of the lane.
         car_id: its number in `gt_data.pkl`, None when it is not measured there.
     """
@@ -41,31 +42,31 @@ class Trip:
     car_id: int | None
 
     def near_x(self, time_s: float) -> float:
-        """X of the middle of its near bottom edge."""
+        """Return X of its contact point, metres."""
         t, x = self.knots_s, self.knots_x
         k = int(np.clip(np.searchsorted(t, time_s) - 1, 0, len(t) - 2))
         return float(x[k] + (x[k + 1] - x[k]) * (time_s - t[k]) / (t[k + 1] - t[k]))
 
     def speed_ms(self, time_s: float) -> float:
-        """Speed at a time, always positive."""
+        """Return the speed at a time, m/s, always positive."""
         t = self.knots_s
         k = int(np.clip(np.searchsorted(t, time_s) - 1, 0, len(t) - 2))
         along = (self.knots_x[k + 1] - self.knots_x[k]) / (t[k + 1] - t[k])
         return abs(float(along)) * float(np.hypot(1, self.lane.slope))
 
     def near_point(self, time_s: float) -> NDArray[np.float64]:
-        """(2,) metres: the middle of its near bottom edge, the measured point."""
+        """Return its contact point (2,), metres on the road."""
         x = self.near_x(time_s)
         return np.array([x, float(self.lane.y(x)) + self.offset_y])
 
     def span_s(self, x_range: tuple[float, float]) -> tuple[float, float]:
-        """First and last time at which any of it lies in a range of X."""
+        """Return the first and last time, seconds, at which any part of it lies in a range of X, metres."""
         low, high = x_range[0] - self.size_lwh[0], x_range[1]
         times = [self.time_at(x) for x in (low, high)]
         return min(times), max(times)
 
     def time_at(self, x: float) -> float:
-        """When the middle of its near bottom edge passes X."""
+        """Return the time, seconds, at which its contact point passes X, metres."""
         t, knots = self.knots_s, self.knots_x
         rising = knots[-1] > knots[0]
         after = np.searchsorted(knots if rising else -knots, x if rising else -x)
@@ -77,24 +78,28 @@ class Trip:
         return make_vehicle(self.kind, np.random.default_rng(list(self.vehicle_seed)), lamps=lamps, plates=plates)
 
 
-def near_path_x(scene: Scene, line: NDArray[np.float64], lane: Lane, offset_y: float) -> float:
-    """X at which who drives `offset_y` metres beside the middle of a lane crosses a homogeneous px line."""
+def near_path_x(scene: RoadScene, line: NDArray[np.float64], lane: Lane, offset_y: float) -> float:
+    """Return X, metres, at which a vehicle crosses a homogeneous px line.
+
+    The vehicle drives `offset_y` metres beside the middle of the lane.
+    """
     a, b, c = road_to_image(scene.camera).T @ line
     y0 = lane.y0 + offset_y
     return float(-(b * y0 + c) / (a + b * lane.slope))
 
 
 def random_traffic(
-    scene: Scene, duration_s: float, seed: int, *, per_minute: float = 18.0, kinds: Sequence[str] | None = None
+    scene: RoadScene, duration_s: float, seed: int, *, per_minute: float = 18.0, kinds: Sequence[str] | None = None
 ) -> list[Trip]:
-    """Traffic on all lanes from time 0 on.
+    """Make up traffic on all lanes from time 0 on.
 
-    Vehicles keep their speed, so that true speeds are exact; who would catch up starts later.
+    Vehicles keep their speed, so that true speeds are exact. A vehicle that would catch up with the one before it
+    starts later.
 
     Args:
         scene: lanes and the range that is shown.
-        duration_s: until when.
-        seed: everything comes from it.
+        duration_s: length of the traffic.
+        seed: everything that varies comes from it.
         per_minute: vehicles per lane and minute on average.
         kinds: body types to choose from; by their shares in traffic when None.
     """

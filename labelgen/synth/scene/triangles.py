@@ -1,4 +1,4 @@
-"""Triangles of things that stand still, each with one colour: plates, boxes, rods and leaves.
+"""Triangles of props, each with one colour: plates, boxes, rods and leaves.
 
 Convention: metres in the road frame (x along the road, y left, z up).
 """
@@ -38,7 +38,7 @@ class Triangles:
         return len(self.corners)
 
     def moved(self, offset: Sequence[float]) -> Triangles:
-        """The same elsewhere."""
+        """Return the triangles moved by (3,) metres."""
         return Triangles(self.corners + np.asarray(offset, dtype=np.float32), self.albedo, self.normals, self.leafy)
 
 
@@ -51,7 +51,7 @@ def _flat(corners: Any, tone: Tone | NDArray[Any]) -> Triangles:
 
 
 def plate(a: Sequence[float], b: Sequence[float], c: Sequence[float], d: Sequence[float], tone: Tone) -> Triangles:
-    """Flat quadrilateral, corners in order."""
+    """Return a flat quadrilateral, its corners in order around it."""
     return _flat([[a, b, c], [a, c, d]], tone)
 
 
@@ -59,7 +59,10 @@ _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (1, 5, 7, 3), 
 
 
 def box(low: Sequence[float], high: Sequence[float], tone: Tone, *, piece_m: float = 8.0) -> Triangles:
-    """Axis-aligned box, cut along x into pieces of at most `piece_m`, so that each has a place of its own."""
+    """Return an axis-aligned box.
+
+    It is cut along x into pieces of at most `piece_m` metres, so that each pixel knows where on the road it stands.
+    """
     edges = np.linspace(low[0], high[0], max(1, int(np.ceil((high[0] - low[0]) / piece_m))) + 1)
     parts = []
     for x0, x1 in pairwise(edges.tolist()):
@@ -69,7 +72,7 @@ def box(low: Sequence[float], high: Sequence[float], tone: Tone, *, piece_m: flo
 
 
 def rod(a: Sequence[float], b: Sequence[float], radius: float, tone: Tone, *, sides: int = 6) -> Triangles:
-    """Round bar between two points."""
+    """Return a round bar between two points; `radius` in metres."""
     start, end = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
     across = np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0])
@@ -84,7 +87,7 @@ def rod(a: Sequence[float], b: Sequence[float], radius: float, tone: Tone, *, si
 def _leaves(
     centres: NDArray[Any], normals: NDArray[Any], size: float, tones: NDArray[Any], rng: np.random.Generator
 ) -> Triangles:
-    """One triangle per leaf, turned at random, lit as the crown's surface is there."""
+    """Return one triangle per leaf, turned at random and lit like the surface of the crown at its place."""
     spread = rng.normal(0, size, (len(centres), 3, 3)).astype(np.float32)
     unit = normals + rng.normal(0, 0.35, normals.shape)
     unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
@@ -96,7 +99,7 @@ def _leaves(
 def blob_leaves(
     centre: Sequence[float], radii: Sequence[float], leaf_m: float, tone: Tone, rng: np.random.Generator
 ) -> Triangles:
-    """Leaves of an uneven ellipsoid: clumps over its surface, darker inside and below."""
+    """Return the leaves of an uneven ellipsoid: clumps over its surface, darker inside and below."""
     radius = np.asarray(radii, dtype=np.float64)
     clumps = int(rng.integers(14, 26))
     seat = rng.normal(size=(clumps, 3))
@@ -120,7 +123,7 @@ def blob_leaves(
 def box_leaves(
     low: Sequence[float], high: Sequence[float], leaf_m: float, tone: Tone, rng: np.random.Generator
 ) -> Triangles:
-    """Leaves of a trimmed hedge: over the top and the sides of a box."""
+    """Return the leaves of a trimmed hedge: over the top and the sides of a box."""
     a, b = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     size = b - a
     faces = [(2, 1.0, size[0] * size[1]), (1, 1.0, size[0] * size[2]), (1, -1.0, size[0] * size[2])]
@@ -140,7 +143,7 @@ def box_leaves(
 
 
 def gather(parts: Sequence[Triangles]) -> Triangles:
-    """All as one."""
+    """Join triangles into one object."""
     return Triangles(
         np.concatenate([p.corners for p in parts]),
         np.concatenate([p.albedo for p in parts]),

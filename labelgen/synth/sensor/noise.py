@@ -89,7 +89,7 @@ def _add(
             strength = colour[kind, level]
             bright = noise[r, c, 0] * grey[kind, level]
             red, blue = noise[r, c, 1] * strength, noise[r, c, 2] * strength
-            # From brightness and colour differences back to the three colours, with a half for rounding.
+            # YCbCr back to BGR in fixed point; 2048 is one half, for rounding.
             b += (bright + 1.77 * blue + 2048) // 4096
             g += (bright - 0.71 * red - 0.34 * blue + 2048) // 4096
             d += (bright + 1.40 * red + 2048) // 4096

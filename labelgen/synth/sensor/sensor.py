@@ -91,7 +91,7 @@ class Sensor:
         if self.lines >= 1 and not (self.smear or self.sharpen or self.peaking):
             return image
         size = (image.shape[1], image.shape[0])
-        # Even, as brightness and the halved planes of colour need it.
+        # Even, as halved chroma planes need it.
         few = (_even(size[0] * self.lines), _even(size[1] * self.lines))
         out: Any = image
         if few != size:
@@ -99,7 +99,7 @@ class Sensor:
             out = cv2.resize(out, few, interpolation=cv2.INTER_AREA if self.lines < 0.5 else cv2.INTER_LINEAR)
         planes = cv2.cvtColor(out, cv2.COLOR_BGR2YUV_I420)
         if self.smear:
-            # Colour at fewer columns, as analogue video carries it.
+            # Chroma at fewer columns, as in analogue video.
             colours = planes[few[1] :].reshape(2, few[1] // 2, few[0] // 2)
             narrow = (max(2, round(1 / (2 * self.smear))), few[1] // 2)
             for plane in colours:

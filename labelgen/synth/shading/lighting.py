@@ -193,7 +193,7 @@ def varied_light(light: Light, rng: np.random.Generator) -> Light:
     hazy = rng.random() < 0.22
     cast = rng.normal(1, 0.035 if rng.random() < 0.3 else 0.012, 3)
     flat = not hazy and rng.random() < 0.2
-    # Deep shadows where the sun shines through clear air.
+    # Less skylight, and so deeper shadows, in clear air.
     clear = rng.uniform(0.5, 1.05) if light.sun.max() > 0.3 and not hazy else 1.0
     return replace(
         light,

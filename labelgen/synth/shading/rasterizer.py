@@ -172,7 +172,7 @@ def _gloss(material: int, paint: _F, toward_sun: float, away: float) -> tuple[fl
         if sharp:
             wide = toward_sun**120
             gleam = paint[1] * (5.0 * wide + 110.0 * wide**12)
-        # Not all of it along outlines, where a pixel's few samples would make a dotted line of it.
+        # Limited along outlines, where a pixel has too few samples for a continuous line.
         rim = min(away, 0.7)
         mirrored = (0.05 + 0.80 * rim * rim * rim) * paint[1]
         return mirrored, gleam, paint[0] * 0.8 * squared * squared * squared * squared, 1.0
@@ -225,10 +225,10 @@ def _light_on(
     ex, ey, ez = ex * norm, ey * norm, ez * norm
     facing = max(0.02, nx * ex + ny * ey + nz * ez)
     lambert = max(0.0, nx * sun_x + ny * sun_y + nz * sun_z)
-    # Sky from above, light from the road from below, both held back near the ground and in hollows.
+    # Light of the sky from above and of the road from below, both occluded near the ground.
     up = 0.5 + 0.5 * nz
     open_sky = min(1.0, 0.36 + 0.64 * pz / paint[2])
-    # The road before a face that is turned from the sun lies in the vehicle's own shadow.
+    # The road in front of a face that is turned away from the sun lies in the vehicle's shadow.
     ground = 1.0
     if light[6] > 0.3:
         ground -= 0.35 * min(1.0, max(0.0, -1.6 * (nx * sun_x + ny * sun_y)))
@@ -250,7 +250,7 @@ def _light_on(
         green += (0.15 - green) * grime
         blue += (0.13 - blue) * grime
         fresnel *= 1 - grime
-        # Flakes mirror what stands around, tinted by the paint.
+        # Metal flakes reflect the surroundings, tinted by the paint.
         flakes = 0.5 * paint[0]
         amb_r += flakes * (er - amb_r)
         amb_g += flakes * (eg - amb_g)
@@ -316,7 +316,7 @@ def shade(
                             around, pose, sun_map, grid,
                         )  # fmt: skip
                         last = charts[t]
-                    # A lamp or a sun's gleam must not outshine its neighbours within the pixel without limit.
+                    # Clipped, so that one sample of a lamp or highlight does not decide the whole pixel.
                     red += min(red1 * exposure, 2.2)
                     green += min(green1 * exposure, 2.2)
                     blue += min(blue1 * exposure, 2.2)

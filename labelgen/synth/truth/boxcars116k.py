@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.errors import OutputError
 from labelgen.geometry import Camera, road_cuboids
-from labelgen.synth.renderer.renderer import Placed, Renderer
+from labelgen.progress import progress_bar
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
 from labelgen.synth.scene.road_image import draw_scene
-from labelgen.synth.scene.scene import Scene, procedural_scene
+from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.scene.traffic import Trip, random_traffic
 from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.session import place
@@ -50,8 +51,10 @@ class _Settings:
     """Frame size of the data set's cameras, px."""
     instances: int = 4
     """Crops per vehicle at most; the data set has about as many."""
-    min_height_px: float = 40.0
+    min_height_px: float = 60.0
     """Height of a 3D box in the frame below which a vehicle is too small to be labelled."""
+    min_visible: float = 0.6
+    """Share of a vehicle's pixels below which others hide too much of it for its crop to serve as an example."""
     border_px: float = 12.0
     """Distance a 3D box keeps from the frame's border, so that crops have a margin on every side."""
     per_minute: float = 14.0
@@ -60,8 +63,9 @@ class _Settings:
     """Least length of the traffic to choose from; more of it gives more choice and takes longer."""
     seconds_per_vehicle: float = 6.0
     """Length of the traffic per vehicle to choose."""
-    shadow_reach_m: float = 7.0
-    """Vehicles farther than this from all that a crop shows are not drawn: their shadows do not reach it."""
+    shadow_reach: float = 2.0
+    """Vehicles farther from all that a crop shows than so many times their height are not drawn: the sun stands higher
+    than 30 degrees, so that their shadows do not reach it."""
 
 
 _SETTINGS = _Settings()
@@ -85,7 +89,6 @@ def write_boxcars_tree(
     cameras: int | None = None,
     kinds: Sequence[str] | None = None,
     overwrite: bool = False,
-    progress: bool = False,
 ) -> dict[str, Any]:
     """Write a BoxCars116k tree.
 
@@ -97,7 +100,6 @@ def write_boxcars_tree(
         kinds: body types, which then share the vehicles as evenly as the traffic allows; by their shares in traffic
             when None.
         overwrite: whether an existing tree may be replaced.
-        progress: show a bar.
 
     Returns:
         Summary: samples, instances, cameras, the root folder.
@@ -106,8 +108,6 @@ def write_boxcars_tree(
         OutputError: the tree exists, or cannot be written.
         DataError: no such body type.
     """
-    from tqdm import tqdm
-
     check_kinds(kinds or [])
     if (out / "dataset.pkl").exists() and not overwrite:
         raise OutputError(f"{out}: it holds a data set already; choose another folder", parameter="overwrite")
@@ -118,7 +118,7 @@ def write_boxcars_tree(
     samples: list[dict[str, Any]] = []
     atlas: list[list[NDArray[np.uint8]]] = []
     used: Counter[str] = Counter()
-    with tqdm(total=vehicles, unit="vehicle", disable=not progress, desc="boxcars") as bar:
+    with progress_bar(vehicles, "vehicle") as advance:
         for number, name in enumerate(names):
             site = _Site(name, number, seed)
             entries[name] = _camera_entry(site.scene.camera)
@@ -126,7 +126,7 @@ def write_boxcars_tree(
             for sample, crops in site.samples(chosen, len(samples), out / "images"):
                 samples.append(sample)
                 atlas.append(crops)
-                bar.update()
+                advance(1)
     dataset = {"cameras": entries, "samples": samples}
     for path, content in (
         (out / "dataset.pkl", dataset),
@@ -156,7 +156,7 @@ class _Site:
         self._seed = seed * 1009 + number
         self._scene_rng = np.random.default_rng([seed, 21, number])
         self._rng = np.random.default_rng([seed, 22, number])
-        self.scene: Scene = procedural_scene(self._scene_rng, _SETTINGS.frame_wh, name=name, both_ways=True)
+        self.scene: RoadScene = procedural_scene(self._scene_rng, _SETTINGS.frame_wh, name=name, both_ways=True)
         light = make_light(_WEATHERS[number % len(_WEATHERS)], self._scene_rng)
         self.light: Light = varied_light(light, self._scene_rng)
         self._trips: list[Trip] = []
@@ -225,10 +225,16 @@ class _Site:
         crops_xyxy = np.array([view.crop_xyxy for views in chosen for view in views])
         background, static_layer = draw_scene(self.scene, self.light, self._scene_rng, crops_xyxy)
         renderer = Renderer(self.scene.camera, background, self.light, seed=self._seed, static_layer=static_layer)
-        for vehicle_id, views in enumerate(chosen, start=first_id):
-            instances, crops = [], []
-            for instance, view in enumerate(views):
-                image, _ = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
+        vehicle_id = first_id
+        for views in chosen:
+            instances: list[dict[str, Any]] = []
+            crops: list[NDArray[np.uint8]] = []
+            for view in views:
+                instance = len(instances)
+                image, drawn = renderer.frame(self._placed(view), number=vehicle_id * 10 + instance)
+                visible = next((d.visible for d in drawn if d.track_id == view.trip.track_id), 0.0)
+                if visible < _SETTINGS.min_visible:
+                    continue
                 x0, y0, x1, y1 = view.crop_xyxy.tolist()
                 crop = np.ascontiguousarray(image[y0:y1, x0:x1])
                 entry = self._entry(view, vehicle_id, instance)
@@ -237,6 +243,8 @@ class _Site:
                 write_atomic(path, bytes(cv2.imencode(".png", crop)[1]))
                 crops.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].reshape(-1))
                 instances.append(entry)
+            if not instances:
+                continue
             trip = views[0].trip
             sample = {
                 "camera": self.scene.name,
@@ -245,8 +253,9 @@ class _Site:
                 "instances": instances,
             }
             yield sample, crops
+            vehicle_id += 1
 
-    def _placed(self, view: _View) -> list[Placed]:
+    def _placed(self, view: _View) -> list[PlacedVehicle]:
         """Return the vehicles that a view's crop shows, or whose shadows it may show."""
         placed = []
         for trip in self._trips:
@@ -259,7 +268,7 @@ class _Site:
 
     def _reaches(self, trip: Trip, view: _View) -> bool:
         """Whether a vehicle, or the ground around it that its shadow may reach, lies in a view's crop."""
-        reach = _SETTINGS.shadow_reach_m
+        reach = _SETTINGS.shadow_reach * float(trip.size_lwh[2])
         near = trip.near_point(view.time_s) - [reach, 0.0]
         size = trip.size_lwh + np.array([2 * reach, 2 * reach, 0.0])
         pixels = self.scene.camera.project(road_cuboids(near[None], size[None])[0])

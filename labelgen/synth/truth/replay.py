@@ -1,7 +1,7 @@
-"""Real sessions as scenes: their camera, lanes, road mask and picture, and their recorded traffic once more.
+"""Real sessions as scenes: their camera, lanes, road mask and picture, and their recorded traffic.
 
-A recorded car drives down the middle of its lane and crosses each line at the time recorded for it; between and
-beyond the lines it keeps its speed. What the calibration makes of that is its true speed here.
+A replayed car drives down the middle of its lane and crosses each measurement line at the recorded time. Between and
+beyond the lines it keeps its speed. Its true speed is what the session's calibration makes of these crossings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from labelgen.geometry import Camera
 from labelgen.geometry.road_mask import binary_mask
 from labelgen.media.image_file import read_image
 from labelgen.synth.fitting.lighting import fit_to_road
-from labelgen.synth.scene.scene import FARTHEST_M, Lane, Scene, road_to_image
+from labelgen.synth.scene.scene import FARTHEST_M, Lane, RoadScene, road_to_image
 from labelgen.synth.scene.traffic import Trip, near_path_x
 from labelgen.synth.shading.lighting import Light, Weather, make_light
 from labelgen.synth.vehicle.vehicle import body_kinds, vehicle_size
@@ -28,12 +28,12 @@ from labelgen.synth.vehicle.vehicle import body_kinds, vehicle_size
 __all__ = ["load_scene", "replayed_traffic"]
 
 _LEAD_S = 2.0
-"""How long before the first crossing a replay begins."""
+"""Seconds before the first recorded crossing at which a replay begins: enough for the first car to drive into view."""
 _CALIBRATION = "system_optimal_calibration.json"
 
 
-def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[Scene, Light, dict[str, Any]]:
-    """A real session, `ROOT/dataset/NAME`, with its calibration in `ROOT/results/NAME`.
+def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tuple[RoadScene, Light, dict[str, Any]]:
+    """Open a real session, `ROOT/dataset/NAME`, with its calibration in `ROOT/results/NAME`.
 
     Args:
         folder: holds gt_data.pkl, video_mask.png and screen.png.
@@ -41,10 +41,10 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
         rng: decides on the sun.
 
     Returns:
-        scene, light, and the content of gt_data.pkl.
+        The scene, its light, and the content of gt_data.pkl.
 
     Raises:
-        DataError: something is missing or damaged.
+        DataError: a file is missing or damaged.
     """
     folder = Path(folder)
     name = folder.resolve().name
@@ -63,26 +63,28 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
     light = fit_to_road(make_light(weather, rng), background, mask)
-    scene = Scene(name, camera, (), lane_lines, lines, mask, background, _x_range(camera, mask))
+    scene = RoadScene(name, camera, (), lane_lines, lines, mask, background, _x_range(camera, mask))
     return replace(scene, lanes=_lanes(scene, gt)), light, gt
 
 
 def _picture(path: Path) -> NDArray[np.uint8]:
     if not path.exists():
-        raise DataError(f"{path}: no such picture; --scene wants a session folder with screen.png and video_mask.png")
+        raise DataError(
+            f"{path}: no such picture; a session folder holds screen.png and video_mask.png", parameter="scene"
+        )
     return read_image(path)
 
 
 def _x_range(camera: Camera, mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """From behind the frame's near border to a little beyond the marked road."""
+    """Return the range of X that is driven, metres: from behind the frame's near border to beyond the marked road."""
     rows, columns = np.nonzero(mask)
     pick = slice(None, None, max(1, len(rows) // 20000))
     x = camera.road_points(np.stack([columns[pick], rows[pick]], axis=1) + 0.5, invalid="nan")[:, 0]
     return -25.0, float(min(np.nanmax(x) + 60.0, FARTHEST_M))
 
 
-def _lanes(scene: Scene, gt: dict[str, Any]) -> tuple[Lane, ...]:
-    """The measured lanes, as straight lines in the middle between their borders at the first and last line."""
+def _lanes(scene: RoadScene, gt: dict[str, Any]) -> tuple[Lane, ...]:
+    """Return the measured lanes: straight lines midway between their borders at the first and last line."""
     to_road = np.linalg.inv(road_to_image(scene.camera))
     heading = _heading(scene, gt)
     lanes = []
@@ -98,8 +100,8 @@ def _lanes(scene: Scene, gt: dict[str, Any]) -> tuple[Lane, ...]:
     return tuple(lanes)
 
 
-def _heading(scene: Scene, gt: dict[str, Any]) -> int:
-    """Which way traffic goes: the first line is crossed last."""
+def _heading(scene: RoadScene, gt: dict[str, Any]) -> int:
+    """Return +1 for traffic that drives away, -1 for traffic that comes closer: the first line is crossed last."""
     to_road = np.linalg.inv(road_to_image(scene.camera))
     x = []
     for line in (scene.measurement_lines[0], scene.measurement_lines[-1]):
@@ -109,21 +111,21 @@ def _heading(scene: Scene, gt: dict[str, Any]) -> int:
 
 
 def replayed_traffic(
-    scene: Scene, gt: dict[str, Any], duration_s: float, seed: int, *,
+    scene: RoadScene, gt: dict[str, Any], duration_s: float, seed: int, *,
     start_s: float | None = None, kinds: Sequence[str] | None = None,
 ) -> list[Trip]:  # fmt: skip
-    """The recorded cars of a part of a session; times count from its start.
+    """Return the recorded cars of a part of a session as trips; times count from the start of the part.
 
     Args:
-        scene: what `load_scene` returned.
-        gt: likewise.
+        scene: from `load_scene`.
+        gt: content of gt_data.pkl, from `load_scene`.
         duration_s: length of the part.
         seed: decides what the vehicles look like.
         start_s: where the part begins; shortly before the first crossing when None.
         kinds: body types to choose from.
 
     Raises:
-        DataError: nothing was recorded in that part.
+        DataError: no crossing was recorded in that part.
     """
     first = min((i["videoTime"] for c in gt["cars"] for i in c["intersections"]), default=0.0)
     start = max(0.0, float(first) - _LEAD_S) if start_s is None else start_s
@@ -140,23 +142,24 @@ def replayed_traffic(
     if not any(0 <= t < duration_s for trip in trips for t in trip.knots_s):
         raise DataError(
             f"{scene.name}: no crossing was recorded between {start:.0f} and {start + duration_s:.0f} s; "
-            "choose another --start"
+            "begin elsewhere",
+            parameter="start_s",
         )
     trips.sort(key=lambda trip: (trip.lane.index or 0, trip.knots_s[-1]))
-    return _dressed(trips, seed, kinds)
+    return _with_bodies(trips, seed, kinds)
 
 
-def _trip(scene: Scene, lane: Lane, number: int, car_id: int, times: dict[int, float], seed: int) -> Trip:
+def _trip(scene: RoadScene, lane: Lane, number: int, car_id: int, times: dict[int, float], seed: int) -> Trip:
     knots = sorted((time, near_path_x(scene, scene.measurement_lines[k], lane, 0.0)) for k, time in times.items())
     if len(knots) == 1:
-        # Seen at one line only: the lane's usual speed.
+        # One crossing gives no speed: take the lane's usual one.
         time, x = knots[0]
         knots.append((time + 1.0, x + lane.heading * lane.speed_kmh / 3.6))
     t, x = np.array(knots).T
     return Trip(number, "", (seed, 31, number), lane, np.zeros(3), t, x, 0.0, car_id)
 
 
-def _dressed(trips: list[Trip], seed: int, kinds: Sequence[str] | None) -> list[Trip]:
+def _with_bodies(trips: list[Trip], seed: int, kinds: Sequence[str] | None) -> list[Trip]:
     """Give each car a body that fits the gap to the next one of its lane."""
     out = []
     for k, trip in enumerate(trips):

@@ -1,4 +1,4 @@
-"""A synthetic recording in the layout of BrnoCompSpeed, with its exact truth beside it."""
+"""Synthetic recordings in the layout of BrnoCompSpeed, with their exact truth."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder, write_atomic, write_json
 from labelgen.datasets.scene import is_session
 from labelgen.errors import OutputError
-from labelgen.progress import defer_interrupt
-from labelgen.synth.renderer.renderer import Drawn, Placed, Renderer
+from labelgen.progress import defer_interrupt, progress_bar
+from labelgen.synth.renderer.renderer import DrawnVehicle, PlacedVehicle, Renderer
 from labelgen.synth.scene.road_image import draw_scene
-from labelgen.synth.scene.scene import Scene, procedural_scene, visible_range
+from labelgen.synth.scene.scene import RoadScene, procedural_scene, visible_range
 from labelgen.synth.scene.static_layer import StaticLayer
 from labelgen.synth.scene.traffic import Trip, near_path_x, random_traffic
 from labelgen.synth.sensor.sensor import PLAIN, Sensor, make_sensor
@@ -31,16 +31,16 @@ __all__ = ["SessionSummary", "place", "write_session"]
 
 @dataclass(frozen=True)
 class SessionSummary:
-    """What was written.
+    """What `write_session` wrote.
 
     Args:
         name: of the session.
-        frames: rendered.
-        vehicles: that drove.
-        masks: in all frames together.
+        frames: number of rendered frames.
+        vehicles: number of vehicles.
+        masks: number of masks in all frames together.
         complete: False after an interruption.
         files: name -> path.
-        measured: what was found in the video that the scene was taken from, in words; empty without one.
+        measured: what was measured in the video that the scene was taken from, in words; empty without one.
     """
 
     name: str
@@ -52,11 +52,11 @@ class SessionSummary:
     measured: dict[str, str]
 
 
-def place(trip: Trip, vehicle: VehicleModel, time_s: float) -> Placed:
-    """Where a vehicle is at a time."""
+def place(trip: Trip, vehicle: VehicleModel, time_s: float) -> PlacedVehicle:
+    """Return a vehicle with its place on the road at a time."""
     near = trip.near_point(time_s)
     centre = near + np.array([trip.size_lwh[0] / 2, 0.0])
-    return Placed(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s))
+    return PlacedVehicle(trip.track_id, vehicle, centre, trip.lane.heading, trip.speed_ms(time_s))
 
 
 def write_session(
@@ -80,15 +80,14 @@ def write_session(
     sun: tuple[float, float] | None = None,
     video: bool = True,
     overwrite: bool = False,
-    progress: bool = False,
 ) -> SessionSummary:
-    """Write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`.
+    """Render traffic and write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`.
 
     Args:
         out: root of the tree.
-        duration_s: length.
+        duration_s: length of the recording.
         fps: frames per second; when None 25, or those of the video that `scene` names.
-        size_wh: frame size; with `scene` that of its picture.
+        size_wh: frame size, px; with `scene` that of its picture.
         seed: everything that varies comes from it.
         name: of the session, session0_center when None; with `scene` that of the real one.
         weather: light; when None at random, overcast in a real session, as it looks in a video.
@@ -97,7 +96,7 @@ def write_session(
         plates: one of `labelgen.synth.vehicle.parts.PLATES`; of all kinds when None.
         heading: +1 traffic drives away, -1 it comes closer; when None at random, or as seen in a video. Not with a
             real session.
-        scene: folder of a real session, `ROOT/dataset/sessionN_x`, or anybody's video of a fixed camera above a road.
+        scene: folder of a real session, `ROOT/dataset/sessionN_x`, or a video of a fixed camera above a road.
         replay: re-enact the scene's recorded traffic.
         start_s: with `replay`, where in the recording to begin; shortly before the first recorded crossing when None.
         calibration, road_mask: of the video that `scene` names; looked for beside it, or made from it, when None.
@@ -105,24 +104,25 @@ def write_session(
             of its vehicles when None.
         video: whether to render; without, only boxes and tracks are written.
         overwrite: whether an existing session may be replaced.
-        progress: show a bar.
 
     Raises:
         OutputError: the session exists, or cannot be written.
-        DataError: the scene cannot be read, or nothing is known of its traffic.
+        DataError: the scene cannot be read, its traffic is not recorded, or there is no such body type or plate.
         CalibrationError: the video that `scene` names has no calibration and cannot carry one.
     """
     check_kinds(kinds or [])
     check_plates(plates)
     if scene is None:
         if replay:
-            raise OutputError("--replay: there is no recorded traffic to re-enact; name a session with --scene")
+            raise OutputError(
+                "there is no recorded traffic to re-enact; name a real session as the scene", parameter="replay"
+            )
         setting = _made_up(seed, size_wh, heading, name or "session0_center", weather)
     elif is_session(scene):
         setting = _real(scene, weather, seed)
     else:
         if replay:
-            raise OutputError(f"--replay: {scene} has no recorded traffic (gt_data.pkl) to re-enact; leave it out")
+            raise OutputError(f"{scene}: it has no recorded traffic (gt_data.pkl) to re-enact", parameter="replay")
         setting = _own(
             scene, weather, seed, out, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
             plates=plates,
@@ -135,20 +135,27 @@ def write_session(
     else:
         trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
     folders = _folders(out, setting.scene.name, overwrite)
-    done = _render(
-        folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video, progress=progress
-    )
-    files = _write_beside(folders, setting, trips, done, fps)
+    rendered = _render(folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video)
+    files = _write_beside(folders, setting, trips, rendered, fps)
     return SessionSummary(
-        setting.scene.name, done.frames, len(done.cars), done.masks, done.complete, files, setting.measured
+        setting.scene.name,
+        rendered.frames,
+        len(rendered.cars),
+        rendered.masks,
+        rendered.complete,
+        files,
+        setting.measured,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Setting:
-    """A place, its light and its camera. `surveyed`: a real session's gt_data.pkl; `measured`: see `OwnCamera`."""
+    """A place, its light and its camera.
 
-    scene: Scene
+    `surveyed` is a real session's gt_data.pkl; for `measured` see `OwnCamera`.
+    """
+
+    scene: RoadScene
     light: Light
     static_layer: StaticLayer | None
     sensor: Sensor
@@ -158,8 +165,8 @@ class _Setting:
 
 
 @dataclass(frozen=True)
-class _Done:
-    """How far the rendering came."""
+class _Rendered:
+    """How much was rendered; `cars` are the tracks as the public result files hold them."""
 
     complete: bool
     frames: int
@@ -168,7 +175,7 @@ class _Done:
 
 
 def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str, weather: Weather | None) -> _Setting:
-    """A made-up road with its picture."""
+    """Make up a road and draw its picture."""
     rng = np.random.default_rng([seed, 1])
     scene = procedural_scene(rng, size_wh, heading=heading, name=name)
     light = make_light(weather or list(Weather)[int(rng.choice(4, p=[0.52, 0.30, 0.06, 0.12]))], rng)
@@ -178,7 +185,7 @@ def _made_up(seed: int, size_wh: tuple[int, int], heading: int | None, name: str
 
 
 def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
-    """A real session's place."""
+    """Open a real session's place."""
     from labelgen.synth.truth.replay import load_scene
 
     scene, light, surveyed = load_scene(folder, weather or Weather.OVERCAST, np.random.default_rng([seed, 1]))
@@ -186,7 +193,7 @@ def _real(folder: Path, weather: Weather | None, seed: int) -> _Setting:
 
 
 def _own(video: Path, weather: Weather | None, seed: int, out: Path, **given: Any) -> _Setting:
-    """The place that somebody's own video shows. `given`: see `load_own_camera`."""
+    """Open the place that a user's video shows. `given`: see `load_own_camera`."""
     from labelgen.synth.fitting.own_camera import load_own_camera
 
     rng = np.random.default_rng([seed, 1])
@@ -198,15 +205,15 @@ def _folders(out: Path, name: str, overwrite: bool) -> dict[str, Path]:
     folders = {part: out / part / name for part in ("dataset", "results", "truth")}
     for folder in folders.values():
         if folder.exists() and any(folder.iterdir()) and not overwrite:
-            raise OutputError(f"{folder}: it exists already; use --overwrite or another --out")
+            raise OutputError(f"{folder}: it exists already; choose another folder", parameter="overwrite")
         make_folder(folder)
     return folders
 
 
 def _write_beside(
-    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], done: _Done, fps: float
+    folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], rendered: _Rendered, fps: float
 ) -> dict[str, str]:
-    """The files that belong to a rendered video; returns all by name."""
+    """Write the files that belong to a rendered video; returns the paths of all files by name."""
     scene = setting.scene
     assert scene.background is not None
     write_atomic(folders["dataset"] / "video_mask.png", _png(scene.road_mask.astype(np.uint8) * 255))
@@ -216,9 +223,9 @@ def _write_beside(
         setting.sensor.write(empty, 0.0)
     write_atomic(folders["dataset"] / "screen.png", _png(empty))
     calibration = scene.camera.to_dict()
-    write_json(folders["results"] / "system_truth.json", {**calibration, "cars": done.cars})
+    write_json(folders["results"] / "system_truth.json", {**calibration, "cars": rendered.cars})
     write_json(folders["results"] / "system_optimal_calibration.json", calibration)
-    gt = ground_truth(scene, trips, done.frames / fps, fps, setting.surveyed)
+    gt = ground_truth(scene, trips, rendered.frames / fps, fps, setting.surveyed)
     write_atomic(folders["dataset"] / "gt_data.pkl", pickle.dumps(gt, protocol=2))
     files = {
         "video": folders["dataset"] / "video.avi",
@@ -232,17 +239,15 @@ def _write_beside(
 
 def _render(
     folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], count: int, fps: float, seed: int,
-    plates: str | None, *, video: bool, progress: bool,
-) -> _Done:  # fmt: skip
+    plates: str | None, *, video: bool,
+) -> _Rendered:  # fmt: skip
     from contextlib import ExitStack
-
-    from tqdm import tqdm
 
     from labelgen.media.video_writer import VideoWriter
 
     scene, light = setting.scene, setting.light
     assert scene.background is not None
-    done, masks, complete = 0, 0, True
+    frames, masks, complete = 0, 0, True
     spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
     vehicles: dict[int, VehicleModel] = {}
     with ExitStack() as stack:
@@ -255,7 +260,7 @@ def _render(
         writer = VideoWriter(path, fps, renderer.size_wh, setting.sensor.crf) if video else None
         if writer is not None:
             stack.enter_context(writer)
-        bar = stack.enter_context(tqdm(total=count, unit="frame", disable=not progress, desc=scene.name))
+        advance = stack.enter_context(progress_bar(count, "frame", scene.name))
         stop = stack.enter_context(defer_interrupt())
         for number in range(count):
             if stop():  # what is written so far is a shorter recording, complete in itself
@@ -263,7 +268,7 @@ def _render(
                 break
             time_s = number / fps
             here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
-            drawn: list[Drawn] | None = None
+            drawn: list[DrawnVehicle] | None = None
             if writer is not None:
                 ids = {t.track_id for t in here}
                 renderer.forget({k for k in vehicles if k not in ids})
@@ -275,10 +280,10 @@ def _render(
                 writer.write(image)
                 masks += len(drawn)
             truth.add(number, here, drawn)
-            done += 1
-            bar.update()
+            frames += 1
+            advance(1)
         cars = truth.result_cars()
-    return _Done(complete, done, masks, cars)
+    return _Rendered(complete, frames, masks, cars)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:
@@ -286,9 +291,9 @@ def _png(image: NDArray[np.uint8]) -> bytes:
 
 
 def ground_truth(
-    scene: Scene, trips: Sequence[Trip], duration_s: float, fps: float, surveyed: dict[str, Any] | None
+    scene: RoadScene, trips: Sequence[Trip], duration_s: float, fps: float, surveyed: dict[str, Any] | None
 ) -> dict[str, Any]:
-    """The content of `gt_data.pkl`: the speeds as rendered.
+    """Return the content of `gt_data.pkl`, with the speeds as rendered.
 
     A car is listed when it crosses the last line while the recording runs, and valid when all its crossings fall
     into the recording.
@@ -339,8 +344,8 @@ def ground_truth(
     }
 
 
-def _distances(scene: Scene) -> list[dict[str, Any]]:
-    """Distances between road points of a made-up scene, as a surveyor would have taken them."""
+def _distances(scene: RoadScene) -> list[dict[str, Any]]:
+    """Return distances between road points of a made-up scene in the form of BrnoCompSpeed's surveyed ones."""
     measured = [lane for lane in scene.lanes if lane.index is not None]
     low, high = min(lane.y0 for lane in measured) - 1.8, max(lane.y0 for lane in measured) + 1.8
     near, far = visible_range(scene.camera, (low + high) / 2) or (10.0, 40.0)

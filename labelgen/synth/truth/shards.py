@@ -1,23 +1,25 @@
-"""Shards of synthetic sessions with the exact truth: every visible vehicle, its label from the corners of its 3D box.
-
-What `labelgen bcs-masks` makes of the same session goes through masks, and leaves out vehicles off the road mask; a
-detector is trained and judged more sharply on labels without either.
+"""Shards of synthetic sessions with exact labels: each visible vehicle is labelled from the corners of its 3D box.
 
     python -m labelgen.synth.truth.shards SESSION... --out DIR [--pair VP2-VP3] [--size 480x270] [--quality 95]
+
+The labels of `labelgen bcs-masks` go through masks instead and leave out vehicles off the road mask. A detector that is
+trained or judged on exact labels meets neither of these two sources of error.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from labelgen.atomic_files import make_folder
 from labelgen.datasets.scene import find_scene
+from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rectification, Region, encode_boxes, parse_size
 from labelgen.geometry.homography import bounding_boxes
 from labelgen.labels import Flag, Labels, Sample
@@ -25,54 +27,98 @@ from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardWriter
 from labelgen.shards.image_codec import ImageCodec
 
-MIN_HEIGHT_PX = 10.0
-MIN_SHOWN = 0.15
-MIN_VISIBLE = 0.3
+__all__ = ["EXACT_LABEL_LIMITS", "ExactLabelLimits", "exact_labels", "main", "write_session_shard"]
 
 
-def exact_labels(vehicles: Sequence[dict[str, Any]], rectification: Rectification) -> Labels:
-    """Labels of one frame of `truth/NAME/boxes.jsonl`.
+@dataclass(frozen=True)
+class ExactLabelLimits:
+    """Which vehicles of a frame get a label. Lower limits give more labels, of vehicles that show less."""
 
-    Left out: vehicles less than `MIN_VISIBLE` of which are seen past others, less than `MIN_SHOWN` of whose box lies in
-    the picture, or which are lower than `MIN_HEIGHT_PX`. Boxes are cut at the picture's border; then, and where the
-    frame's border cuts them, they carry `Flag.TRUNCATED`.
+    min_height_px: float = 10.0
+    """Least height of a label's box in the rectified image, px."""
+    min_width_px: float = 2.0
+    """Least width of a label's box in the rectified image, px."""
+    min_inside: float = 0.15
+    """Least share of a vehicle's box that lies in the rectified image and in the frame."""
+    min_visible: float = 0.3
+    """Least share of a vehicle's pixels that nothing hides."""
+
+
+EXACT_LABEL_LIMITS = ExactLabelLimits()
+
+
+def exact_labels(
+    vehicles: Sequence[dict[str, Any]], rectification: Rectification, limits: ExactLabelLimits = EXACT_LABEL_LIMITS
+) -> Labels:
+    """Label the vehicles of one frame.
+
+    Boxes are cut at the border of the rectified image. Those that are cut there or by the frame's border carry
+    `Flag.TRUNCATED`.
+
+    Args:
+        vehicles: entries of a line of `truth/NAME/boxes.jsonl`.
+        rectification: with the frame's size.
+        limits: which vehicles are left out.
     """
-    seen = [vehicle for vehicle in vehicles if vehicle["visible"] is None or vehicle["visible"] >= MIN_VISIBLE]
-    if not seen:
+    visible = [v for v in vehicles if v["visible"] is None or v["visible"] >= limits.min_visible]
+    if not visible:
         return Labels.empty()
-    corners = np.array([vehicle["vertices_px"] for vehicle in seen])
+    corners = np.array([vehicle["vertices_px"] for vehicle in visible])
     assert rectification.frame_wh is not None
     rectified = rectification.points(corners)
     keep = np.isfinite(rectified).all(axis=(1, 2))
     corners, rectified = corners[keep], rectified[keep]
     encoded = encode_boxes(rectified, rectification.vpu)
-    boxes, size = encoded.boxes_xyxy, np.array(rectification.size_wh, dtype=np.float64)
-    cut = np.concatenate([np.clip(boxes[:, :2], 0, size), np.clip(boxes[:, 2:], 0, size)], axis=1)
-    frame = bounding_boxes(corners)
-    frame_wh = np.asarray(rectification.frame_wh, dtype=np.float64)
-    shown = np.concatenate([np.clip(frame[:, :2], 0, frame_wh), np.clip(frame[:, 2:], 0, frame_wh)], axis=1)
-    share = np.minimum(_area(cut) / _area(boxes), _area(shown) / _area(frame))
-    keep = (share >= MIN_SHOWN) & (cut[:, 3] - cut[:, 1] >= MIN_HEIGHT_PX) & (cut[:, 2] - cut[:, 0] >= 2)
+    boxes_xyxy = encoded.boxes_xyxy
+    cut_xyxy = _cut(boxes_xyxy, rectification.size_wh)
+    frame_xyxy = bounding_boxes(corners)
+    inside = np.minimum(
+        _area(cut_xyxy) / _area(boxes_xyxy), _area(_cut(frame_xyxy, rectification.frame_wh)) / _area(frame_xyxy)
+    )
+    width, height = (cut_xyxy[:, 2:] - cut_xyxy[:, :2]).T
+    keep = (inside >= limits.min_inside) & (height >= limits.min_height_px) & (width >= limits.min_width_px)
     keep &= (encoded.cc >= 0) & (encoded.cc <= 1)
-    flags = (Flag.TRUNCATED * (share < 0.999)).astype(np.uint16)
-    return Labels(cut[keep], encoded.cc[keep], flags=flags[keep])
+    flags = (Flag.TRUNCATED * (inside < 0.999)).astype(np.uint16)
+    return Labels(cut_xyxy[keep], encoded.cc[keep], flags=flags[keep])
 
 
-def _area(boxes: Any) -> Any:
-    return np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
+def _cut(boxes_xyxy: Any, size_wh: Sequence[float]) -> Any:
+    """Cut boxes (N, 4) at the border of an image."""
+    size = np.asarray(size_wh, dtype=np.float64)
+    return np.concatenate([np.clip(boxes_xyxy[:, :2], 0, size), np.clip(boxes_xyxy[:, 2:], 0, size)], axis=1)
+
+
+def _area(boxes_xyxy: Any) -> Any:
+    return np.prod(boxes_xyxy[:, 2:] - boxes_xyxy[:, :2], axis=1)
 
 
 def write_session_shard(
     session: Path, out: Path, number: int, pair: Pair, size_wh: tuple[int, int], codec: ImageCodec
 ) -> int:
-    """One shard of a session folder (ROOT/dataset/NAME); returns how many labels it holds."""
+    """Write the shard of one session with exact labels.
+
+    Args:
+        session: folder ROOT/dataset/NAME of a synthetic session.
+        out: folder of the shard.
+        number: of the shard, for its name.
+        pair, size_wh: the rectification; px.
+        codec: how images are stored.
+
+    Returns:
+        Number of labels in the shard.
+    """
     scene = find_scene(session)
     assert scene.frames_path is not None
     frames = open_frames(scene.frames_path)
     camera = scene.camera(frames.size_wh)
     rectification = Rectification.from_road_mask(camera, scene.road(frames.size_wh), pair, size_wh)
     truth = session.resolve().parents[1] / "truth" / scene.name / "boxes.jsonl"
-    settings = {"kind": "exact", "region": str(Region.ROAD), "min_height_px": MIN_HEIGHT_PX, **codec.describe()}
+    settings = {
+        "kind": "exact",
+        "region": str(Region.ROAD),
+        "min_height_px": EXACT_LABEL_LIMITS.min_height_px,
+        **codec.describe(),
+    }
     path = out / f"shard-{number:03d}-{scene.name}-00000.h5"
     with ShardWriter(path, pair, size_wh, source=scene.name, settings=settings) as writer, truth.open() as lines:
         for frame, line in zip(frames.frames(), lines, strict=False):
@@ -89,20 +135,25 @@ def write_session_shard(
     return writer.labels
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sessions", nargs="+", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--pair", default="VP2-VP3")
-    parser.add_argument("--size", default="480x270")
-    parser.add_argument("--quality", type=int, default=95, help="of the JPEGs")
-    given = parser.parse_args(arguments)
-    out, size_wh, codec = make_folder(given.out), parse_size(given.size), ImageCodec(given.quality)
-    for number, session in enumerate(given.sessions):
-        count = write_session_shard(session, out, number, Pair.parse(given.pair), size_wh, codec)
-        print(f"{session}: {count} labels")
+def main(
+    sessions: Annotated[
+        list[Path], typer.Argument(metavar="SESSION...", help="Folders ROOT/dataset/NAME of synthetic sessions.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the shards go, one per session.")],
+    pair: Annotated[str, typer.Option("--pair", help="Pair of vanishing points.")] = "VP2-VP3",
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Size of the rectified frames.")] = "480x270",
+    quality: Annotated[int, typer.Option("--quality", help="JPEG quality.")] = 95,
+) -> None:
+    """Write shards of synthetic sessions with exact labels."""
+    size_wh, codec = parse_size(size), ImageCodec(quality)
+    make_folder(out)
+    for number, session in enumerate(sessions):
+        count = write_session_shard(session, out, number, Pair.parse(pair), size_wh, codec)
+        typer.echo(f"{session}: {count} labels")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        typer.run(main)
+    except LabelgenError as err:
+        raise SystemExit(f"error: {err}") from None

@@ -4,7 +4,7 @@
     truth/SESSION/boxes.jsonl    one line per frame: 3D boxes in frame px and road metres
     truth/SESSION/tracks.json    one entry per vehicle: body type, size, lane, speed, frames
 
-Everything is written as it comes, so that an interrupted rendering leaves the truth of the frames it made.
+Each frame is written at once, so that an interrupted rendering leaves the truth of the frames it made.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.labels import VehicleClass
-from labelgen.synth.renderer.renderer import Drawn
+from labelgen.synth.renderer.renderer import DrawnVehicle
 from labelgen.synth.scene.traffic import Trip
 from labelgen.synth.vehicle.body_types import BODY_TYPES
 
@@ -42,12 +42,12 @@ _NAMES = {3: "car", 4: "motorcycle", 6: "bus", 8: "truck"}
 
 
 def encode_mask(mask: NDArray[np.bool_], origin_px: tuple[int, int], size_wh: tuple[int, int]) -> dict[str, Any]:
-    """COCO RLE of a part of a frame's mask.
+    """Encode a part of a frame's mask as COCO run-length encoding.
 
     Args:
         mask: (h, w) bool, not empty.
-        origin_px: frame px of its first pixel.
-        size_wh: of the frame.
+        origin_px: (x, y) frame px of its first pixel.
+        size_wh: of the frame, px.
     """
     from pycocotools import mask as coco
 
@@ -70,7 +70,10 @@ def encode_mask(mask: NDArray[np.bool_], origin_px: tuple[int, int], size_wh: tu
 
 
 def own_front_first(vertices: NDArray[Any], heading: int) -> NDArray[Any]:
-    """Vertices (8, D) of a cuboid in the order of BoxCars: 0, 1 the vehicle's own front, 1, 2 its visible side."""
+    """Return a cuboid's vertices (8, D) in the order of BoxCars: 0, 1 the vehicle's own front, 1, 2 its visible side.
+
+    `vertices` are in the order of `road_cuboids`; `heading` is +1 away from the camera, -1 towards it.
+    """
     return vertices if heading < 0 else vertices[[3, 2, 1, 0, 7, 6, 5, 4]]
 
 
@@ -80,7 +83,7 @@ def _short(values: Any, digits: int) -> list[Any]:
 
 
 class TruthWriter:
-    """Context manager that collects the truth frame by frame.
+    """Context manager that writes the truth frame by frame.
 
     Args:
         folder: where the three files go.
@@ -100,13 +103,13 @@ class TruthWriter:
         self._tracks: dict[int, dict[str, Any]] = {}
         self._places: dict[int, tuple[list[int], list[float], list[float]]] = {}
 
-    def add(self, frame: int, trips: Sequence[Trip], drawn: Sequence[Drawn] | None) -> None:
-        """The truth of one frame.
+    def add(self, frame: int, trips: Sequence[Trip], drawn: Sequence[DrawnVehicle] | None) -> None:
+        """Write the truth of one frame.
 
         Args:
             frame: number from 0.
             trips: vehicles that may show in it.
-            drawn: their masks; None when nothing is drawn, so that only boxes and tracks are kept.
+            drawn: their masks; None when no frames are rendered: then only boxes and tracks are written.
         """
         size = self._camera.image_wh
         assert size is not None
@@ -117,15 +120,15 @@ class TruthWriter:
             near = trip.near_point(time_s)
             world = road_cuboids(near[None], trip.size_lwh[None])[0]
             pixels = self._camera.project(world)
-            seen = shown.get(trip.track_id) if shown is not None else None
-            if not np.isfinite(pixels).all() or (shown is not None and seen is None):
+            drawn_vehicle = shown.get(trip.track_id) if shown is not None else None
+            if not np.isfinite(pixels).all() or (shown is not None and drawn_vehicle is None):
                 continue
             if shown is None and not ((pixels.max(axis=0) > 0).all() and (pixels.min(axis=0) < size).all()):
                 continue
-            vehicles.append(self._vehicle(trip, time_s, near, world, pixels, seen))
+            vehicles.append(self._vehicle(trip, time_s, near, world, pixels, drawn_vehicle))
             self._track(trip, frame, near, pixels)
-            if seen is not None:
-                self._annotate(trip, seen, size)
+            if drawn_vehicle is not None:
+                self._annotate(trip, drawn_vehicle, size)
         self._boxes.write(json.dumps({"frame": frame, "vehicles": vehicles}) + "\n")
         image = {"id": frame, "file_name": self._video, "frame": frame, "width": size[0], "height": size[1]}
         self._images.write(("," if self._frames else "") + json.dumps(image))
@@ -133,7 +136,7 @@ class TruthWriter:
 
     def _vehicle(
         self, trip: Trip, time_s: float, near: NDArray[Any], world: NDArray[Any], pixels: NDArray[Any],
-        seen: Drawn | None,
+        drawn_vehicle: DrawnVehicle | None,
     ) -> dict[str, Any]:  # fmt: skip
         entry = {
             "track_id": trip.track_id,
@@ -145,9 +148,9 @@ class TruthWriter:
             "vertices_m": _short(world, 5),
             "vertices_px": _short(pixels, 4),
         }
-        if seen is not None:
-            entry["visible"] = round(seen.visible, 4)
-            entry["outline_xyxy_px"] = _short(seen.outline_xyxy, 3)
+        if drawn_vehicle is not None:
+            entry["visible"] = round(drawn_vehicle.visible, 4)
+            entry["outline_xyxy_px"] = _short(drawn_vehicle.outline_xyxy, 3)
         return entry
 
     def _track(self, trip: Trip, frame: int, near: NDArray[Any], pixels: NDArray[Any]) -> None:
@@ -157,9 +160,9 @@ class TruthWriter:
         xs.append(round(float(point[0]), 5))
         ys.append(round(float(point[1]), 5))
 
-    def _annotate(self, trip: Trip, seen: Drawn, size: tuple[int, int]) -> None:
-        rows, columns = np.flatnonzero(seen.mask.any(axis=1)), np.flatnonzero(seen.mask.any(axis=0))
-        x, y = seen.origin_px
+    def _annotate(self, trip: Trip, drawn_vehicle: DrawnVehicle, size: tuple[int, int]) -> None:
+        rows, columns = np.flatnonzero(drawn_vehicle.mask.any(axis=1)), np.flatnonzero(drawn_vehicle.mask.any(axis=0))
+        x, y = drawn_vehicle.origin_px
         box = [x + columns[0], y + rows[0], columns[-1] + 1 - columns[0], rows[-1] + 1 - rows[0]]
         shape = BODY_TYPES.get(trip.kind)
         self._count += 1
@@ -169,15 +172,15 @@ class TruthWriter:
             "category_id": _CATEGORIES[shape.vehicle_class if shape else VehicleClass.VEHICLE],
             "iscrowd": 0,
             "bbox": [int(v) for v in box],
-            "area": int(np.count_nonzero(seen.mask)),
-            "segmentation": encode_mask(seen.mask, seen.origin_px, size),
+            "area": int(np.count_nonzero(drawn_vehicle.mask)),
+            "segmentation": encode_mask(drawn_vehicle.mask, drawn_vehicle.origin_px, size),
             "track_id": trip.track_id,
-            "visible": round(seen.visible, 4),
+            "visible": round(drawn_vehicle.visible, 4),
         }
         self._annotations.write(("," if self._count > 1 else "") + json.dumps(annotation))
 
     def describe(self, trips: Sequence[Trip]) -> None:
-        """Remember who drove, for tracks.json."""
+        """Keep what tracks.json says of each vehicle."""
         for trip in trips:
             middle = (trip.knots_s[0] + trip.knots_s[-1]) / 2
             self._tracks[trip.track_id] = {
@@ -191,7 +194,7 @@ class TruthWriter:
             }
 
     def result_cars(self) -> list[dict[str, Any]]:
-        """The tracks as the public result files hold them."""
+        """Return the tracks as the public result files hold them."""
         return [
             {"id": track, "frames": frames, "posX": xs, "posY": ys}
             for track, (frames, xs, ys) in sorted(self._places.items())

@@ -168,7 +168,7 @@ def _drawings_of_ends(shape: Shape, shell: Mesh) -> Mesh:
         here = (d > first) & (d < last) & (middles[:, 2] > shape.belt) & (charts != Chart.SIDE) & (normals[:, 2] > -0.1)
         charts[here] = end if steep else Chart.TOP
     facing = np.abs(normals[:, 0]) > _AROUND_CORNERS
-    # Not cabs over their engines, whose screens begin before that.
+    # Except cabs over their engines, whose screens begin nearer to the front.
     if shape.cowl[0] > END_M:
         charts[facing & (d < END_M)] = Chart.FRONT
     if shape.cargo is None:

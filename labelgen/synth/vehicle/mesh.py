@@ -70,12 +70,18 @@ def _corner_normals(
     for group in range(len(starts) - 1):
         for i in range(starts[group], starts[group + 1]):
             corner = order[i]
-            own = unit[corner // 3]
+            own = corner // 3
+            # Scalar sums, since array arithmetic takes seconds to compile.
+            x, y, z = 0.0, 0.0, 0.0
             for j in range(starts[group], starts[group + 1]):
                 face = order[j] // 3
-                if own[0] * unit[face, 0] + own[1] * unit[face, 1] + own[2] * unit[face, 2] > limit:
-                    out[corner] += area_normals[face]
-            out[corner] /= max(np.sqrt((out[corner] ** 2).sum()), 1e-12)
+                cosine = unit[own, 0] * unit[face, 0] + unit[own, 1] * unit[face, 1] + unit[own, 2] * unit[face, 2]
+                if cosine > limit:
+                    x += area_normals[face, 0]
+                    y += area_normals[face, 1]
+                    z += area_normals[face, 2]
+            length = max(np.sqrt(x * x + y * y + z * z), 1e-12)
+            out[corner, 0], out[corner, 1], out[corner, 2] = x / length, y / length, z / length
     return out
 
 

@@ -188,7 +188,7 @@ def draw_dashboard_reflection(texture: Texture, chart: Chart, ring: Any, rng: np
     points, level = np.asarray(ring, dtype=np.float64), rng.uniform(0.05, 0.17)
     tone: Colour = (0.72 * level, level, 0.95 * level)
     shares = (rng.uniform(0.0, 0.3), rng.uniform(0.1, 0.7))  # at the head, at the foot
-    # Seen from above, noses lie at the drawing's left.
+    # On chart TOP the front lies on the left.
     texture.fade(chart, points, tone, shares[::-1] if chart is Chart.TOP else shares, level=chart is Chart.TOP)
 
 

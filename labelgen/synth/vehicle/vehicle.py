@@ -163,7 +163,7 @@ class _Body:
 def _body(kind: str, rng: np.random.Generator) -> _Body:
     tone, metal, _ = _PAINTS[int(rng.choice(len(_PAINTS), p=_shares()))]
     level = rng.uniform(0.8, 1.15)
-    if min(tone) > _WHITE:  # whites are all alike
+    if min(tone) > _WHITE:  # whites vary less
         level = 1 + 0.3 * (level - 1)
     red, green, blue = np.clip(np.array(tone) * level, 0, 0.75).tolist()
     colour = (red, green, blue)

@@ -25,12 +25,12 @@ from labelgen.synth.fitting.lanes import find_lanes
 from labelgen.synth.fitting.sun import find_shadows
 from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.road_image import draw_road
-from labelgen.synth.scene.scene import Scene, procedural_scene
+from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Weather, make_light
-from labelgen.synth.truth.check import check_session
 from labelgen.synth.truth.session import place, write_session
+from tools.studies.check_truth import check_session
 
 SIZE = (480, 270)
 NAME = "own"
@@ -104,10 +104,10 @@ def test_its_lanes_are_those_that_traffic_drives_on(made: Path, session: Path) -
 
 
 def test_its_masks_lie_in_their_boxes(session: Path) -> None:
-    found = check_session(session / "dataset" / NAME)
-    assert len(found["kind"]) > 10
-    assert np.mean(found["inside"] >= 0.995) > 0.98
-    assert np.mean(found["outline"] <= 2) > 0.98
+    agreement = check_session(session / "dataset" / NAME)
+    assert len(agreement["kind"]) > 10
+    assert np.mean(agreement["inside"] >= 0.995) > 0.98
+    assert np.mean(agreement["outline"] <= 2) > 0.98
 
 
 @pytest.mark.parametrize(
@@ -117,11 +117,11 @@ def test_its_masks_lie_in_their_boxes(session: Path) -> None:
         (["--sun", "high"], "expected HEIGHT,RIGHT"),
         (["--sun", "95,0"], "expected HEIGHT,RIGHT"),
         (["--plates", "pink"], "use one of european"),
-        (["--road-mask", "nowhere.png"], "no road mask at --road-mask"),
-        (["--calibration", "nowhere.json"], "no calibration at --calibration"),
+        (["--road-mask", "nowhere.png"], "no road mask at nowhere.png (option --road-mask)"),
+        (["--calibration", "nowhere.json"], "no calibration at nowhere.json (option --calibration)"),
     ],
 )
-def test_what_cannot_be_is_one_line(
+def test_wrong_options_give_one_line(
     made: Path, tmp_path: Path, more: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:
@@ -157,7 +157,7 @@ def test_a_mask_of_another_size_is_refused(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def sunny() -> tuple[Scene, Footage, Renderer]:
+def sunny() -> tuple[RoadScene, Footage, Renderer]:
     """A road in the sun, frames of its traffic, and what rendered them."""
     camera = look_at_road(9.0, (24.0, 0.4), 570.0, SIZE)
     scene = procedural_scene(np.random.default_rng(2), SIZE, heading=-1, seen_from=(camera, 0.0))
@@ -179,7 +179,7 @@ def sunny() -> tuple[Scene, Footage, Renderer]:
     return scene, Footage("made", 25.0, stack, stack[:4], background, 0.0, None), renderer
 
 
-def test_the_sun_is_found_from_shadows(sunny: tuple[Scene, Footage, Renderer]) -> None:
+def test_the_sun_is_found_from_shadows(sunny: tuple[RoadScene, Footage, Renderer]) -> None:
     scene, footage, renderer = sunny
     shadows = find_shadows(footage, scene.camera, scene.road_mask)
     assert shadows.sunny
@@ -191,7 +191,9 @@ def test_the_sun_is_found_from_shadows(sunny: tuple[Scene, Footage, Renderer]) -
     assert np.degrees(np.arccos(shadows.sun @ light.sun_direction)) < 22
 
 
-def test_a_vehicle_put_into_a_picture_changes_its_surroundings_alone(sunny: tuple[Scene, Footage, Renderer]) -> None:
+def test_a_vehicle_put_into_a_picture_changes_its_surroundings_alone(
+    sunny: tuple[RoadScene, Footage, Renderer],
+) -> None:
     scene, _, renderer = sunny
     assert scene.background is not None
     sensor = Sensor(sharpen=1.2, smear=0.004, in_picture=True)

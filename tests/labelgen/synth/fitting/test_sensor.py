@@ -1,4 +1,4 @@
-"""What is put into a camera comes out of its measurement: noise, sharpness, compression."""
+"""Noise, sharpness and compression of a simulated camera are measured again."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def test_noise_comes_out_as_it_went_in(blur: float) -> None:
     noise_model = NoiseModel(tuple(np.linspace(1.5, 5, 9)), (1.0,) * 9, blur, blur)
     empty = stripes()
     tile = noise_model.tile((360, 270), np.random.default_rng(0))
-    looks = np.repeat(empty[None], 16, axis=0)
-    for number, look in enumerate(looks):
-        noise_model.add(look, tile, number)
+    frames = np.repeat(empty[None], 16, axis=0)
+    for number, frame in enumerate(frames):
+        noise_model.add(frame, tile, number)
     flat = np.ones((270, 360), bool)
     for k in range(0, 361, 40):
         flat[:, max(0, k - 3) : k + 3] = False
-    got = measure_noise(looks, empty, flat)
+    got = measure_noise(frames, empty, flat)
     np.testing.assert_allclose(got.grey[1:-1], noise_model.grey[1:-1], rtol=0.15)
     np.testing.assert_allclose(got.colour[1:-1], noise_model.colour[1:-1], rtol=0.25)
     assert abs(got.grey_px - blur) < 0.25
@@ -57,12 +57,12 @@ def test_blur_and_halos_come_out_as_they_went_in(blur: float, sharpen: float) ->
         box = cv2.boxPoints(((200 + 380 * (k % 6), 400 + 800 * (k // 6)), (230, 300), np.degrees(angle)))
         cv2.fillConvexPoly(large, box.astype(np.int32), 150.0)
     small = cv2.resize(large, (600, 400), interpolation=cv2.INTER_AREA)
-    seen = cv2.GaussianBlur(small, (0, 0), blur)
-    seen = Sensor(sharpen=sharpen).sharpened(np.repeat(seen[..., None], 3, axis=2), 600)[..., 0]
-    profile, count = edge_profile(seen)
+    image = cv2.GaussianBlur(small, (0, 0), blur)
+    image = Sensor(sharpen=sharpen).sharpened(np.repeat(image[..., None], 3, axis=2), 600)[..., 0]
+    profile, count = edge_profile(image)
     assert count > 100
     assert abs(profile[len(profile) // 2] - 0.5) < 0.05
-    got_blur, got_sharpen = fit_edges([seen])
+    got_blur, got_sharpen = fit_edges([image])
     assert abs(got_blur - blur) < 0.3
     assert abs(got_sharpen - sharpen) < 0.5
 
@@ -99,8 +99,8 @@ def panels(level: float, noise: float, count: int = 8) -> list:
 @pytest.mark.parametrize("noise", [3.0])
 def test_noise_is_found_on_even_panels(noise: float) -> None:
     noise_model = NoiseModel((8.0,) * 9, (2.0,) * 9, 0.0, 0.0)
-    found = panel_noise(panels(128, noise), 9)
-    assert np.isnan(found).tolist() == [k != 4 for k in range(9)]
+    measured = panel_noise(panels(128, noise), 9)
+    assert np.isnan(measured).tolist() == [k != 4 for k in range(9)]
     shares = fit_to_panels(noise_model, panels(128, noise)).on_vehicles
     assert 8 * shares[4] == pytest.approx(noise, rel=0.25)
     assert (np.diff(shares[4:]) >= 0).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labelgen.geometry.camera import look_at_road
-from labelgen.synth.renderer.renderer import Placed, Renderer, painting_order
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer, painting_order
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.shading.rasterizer import visible_triangles
 from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle
@@ -21,11 +21,11 @@ def vehicle_of(kind: str, seed: int) -> VehicleModel:
     return make_vehicle(kind, np.random.default_rng(seed))
 
 
-def scene_with(places: list[tuple[float, float]]) -> tuple[Renderer, list[Placed]]:
+def scene_with(places: list[tuple[float, float]]) -> tuple[Renderer, list[PlacedVehicle]]:
     light = make_light(Weather.DAY, np.random.default_rng(0))
     renderer = Renderer(CAMERA, np.full((360, 640, 3), 90, np.uint8), light, seed=0)
     return renderer, [
-        Placed(k, vehicle_of("hatchback", k), np.array(place), -1, 20.0) for k, place in enumerate(places)
+        PlacedVehicle(k, vehicle_of("hatchback", k), np.array(place), -1, 20.0) for k, place in enumerate(places)
     ]
 
 
@@ -63,7 +63,7 @@ def test_a_shadow_falls_away_from_the_sun() -> None:
 def test_mirrors_are_drawn_but_belong_to_no_mask(kind: str, at_most: float) -> None:
     vehicle = vehicle_of(kind, 3)
     renderer, _ = scene_with([])
-    placed = Placed(1, vehicle, np.array([24.0, 1.0]), -1, 20.0)
+    placed = PlacedVehicle(1, vehicle, np.array([24.0, 1.0]), -1, 20.0)
     (drawn,) = renderer.truth([placed])
     world = placed.world()
     depth = (world - np.array([0.0, 0.0, CAMERA.height_m])) @ CAMERA.axes[:, 2]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from labelgen.geometry.camera import look_at_road
-from labelgen.synth.renderer.renderer import Placed, Renderer
-from labelgen.synth.scene.placement import KINDS, Prop, place_props
+from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
+from labelgen.synth.scene.placement import Prop, place_props
 from labelgen.synth.scene.props import ALONG, AT
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import carriageways, procedural_scene, visible_range
@@ -36,8 +36,8 @@ def renderer_behind(props: list[Prop], sensor: Sensor | None = None) -> tuple[Re
     return Renderer(CAMERA, background, light(), seed=0, static_layer=static_layer, **more), background
 
 
-def car(x: float, y: float) -> Placed:
-    return Placed(1, make_vehicle("saloon", np.random.default_rng(0)), np.array([x, y]), -1, 20.0)
+def car(x: float, y: float) -> PlacedVehicle:
+    return PlacedVehicle(1, make_vehicle("saloon", np.random.default_rng(0)), np.array([x, y]), -1, 20.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -46,7 +46,7 @@ def test_nothing_stands_on_a_lane_or_in_front_of_much_of_the_road(seed: int) -> 
     scene = procedural_scene(rng, SIZE)
     props = place_props(scene, 1.0, rng)
     for prop in props:
-        assert prop.kind in KINDS
+        assert prop.kind in {*ALONG, *AT, "gantry"}
         low = prop.triangles.corners[prop.triangles.corners[..., 2] < 4.5]
         for y0, y1, _ in carriageways(scene):
             assert not ((low[:, 1] > y0) & (low[:, 1] < y1)).any(), prop.kind
@@ -91,7 +91,7 @@ def test_props_before_a_vehicle_hide_it_and_those_behind_do_not(
     assert change[hidden & (cover == 255)].mean() < 6
 
 
-@pytest.mark.parametrize("kind", [k for k in KINDS if k != "gantry"])
+@pytest.mark.parametrize("kind", [*ALONG, *AT])
 def test_every_kind_is_a_mesh_that_stands_on_the_ground(kind: str) -> None:
     rng = np.random.default_rng(1)
     triangles = ALONG[kind](15.0, 40.0, 5.0, 1, rng) if kind in ALONG else AT[kind](25.0, 5.0, 1, rng)

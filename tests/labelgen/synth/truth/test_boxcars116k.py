@@ -103,5 +103,5 @@ def test_same_seed_same_bytes(root: Path, tmp_path: Path) -> None:
 
 
 def test_nothing_is_replaced_unasked(root: Path) -> None:
-    with pytest.raises(LabelgenError, match="--overwrite"):
+    with pytest.raises(LabelgenError, match="holds a data set already"):
         write(root)

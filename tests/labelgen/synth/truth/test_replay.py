@@ -86,5 +86,5 @@ def test_cars_that_share_a_number_stay_apart(tmp_path: Path) -> None:
 
 @needs_real_data
 def test_a_time_without_traffic_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="--start"):
+    with pytest.raises(DataError, match="no crossing was recorded"):
         write_session(tmp_path, scene=folder("session2_center"), replay=True, duration_s=10, start_s=0, video=False)

@@ -11,13 +11,13 @@ import pytest
 from labelgen.labels import Flag
 from labelgen.shards import ShardDataset
 from labelgen.synth.truth.session import write_session
-from labelgen.synth.truth.shards import MIN_HEIGHT_PX, main
+from labelgen.synth.truth.shards import EXACT_LABEL_LIMITS, main
 
 
 @pytest.mark.slow
 def test_labels_decode_to_the_true_boxes(tmp_path: Path) -> None:
     write_session(tmp_path, duration_s=4, fps=1, size_wh=(640, 360), seed=4, name="made", per_minute=40)
-    main([str(tmp_path / "dataset" / "made"), "--out", str(tmp_path / "shards"), "--size", "320x180"])
+    main([tmp_path / "dataset" / "made"], tmp_path / "shards", size="320x180")
     samples = ShardDataset([tmp_path / "shards"])
     assert len(samples)
     lines = [json.loads(line) for line in (tmp_path / "truth" / "made" / "boxes.jsonl").read_text().splitlines()]
@@ -28,7 +28,7 @@ def test_labels_decode_to_the_true_boxes(tmp_path: Path) -> None:
         boxes = sample.labels.boxes_xyxy
         assert (boxes >= 0).all()
         assert (boxes <= [320, 180, 320, 180]).all()
-        assert (boxes[:, 3] - boxes[:, 1] >= MIN_HEIGHT_PX - 1e-3).all()
+        assert (boxes[:, 3] - boxes[:, 1] >= EXACT_LABEL_LIMITS.min_height_px - 1e-3).all()
         vertices, valid = sample.vertices_px()
         for corners in vertices[valid & ~sample.labels.has(Flag.TRUNCATED)]:
             # As sets of corners: the truth's front is the vehicle's own.

@@ -1,7 +1,7 @@
 """Draw the truth of a synthetic session over its video: masks, 3D boxes, speeds.
 
-python -m labelgen.synth.truth.draw ROOT/dataset/session0_center --out truth.avi
-python -m labelgen.synth.truth.draw ROOT/dataset/session0_center --out truth.png --frame 40
+python -m tools.studies.draw_truth ROOT/dataset/session0_center --out truth.avi
+python -m tools.studies.draw_truth ROOT/dataset/session0_center --out truth.png --frame 40
 """
 
 from __future__ import annotations

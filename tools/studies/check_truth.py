@@ -1,8 +1,8 @@
 """Check that masks, 3D boxes and pixels of a synthetic session agree.
 
-    python -m labelgen.synth.truth.check ROOT/dataset/session0_center
+    python -m tools.studies.check_truth ROOT/dataset/session0_center
 
-For every vehicle that is not hidden and lies inside the picture:
+Measured for each vehicle that nothing hides and that lies inside the frame:
     inside    share of its mask's pixels (centres) inside the projected 3D box
     outline   largest distance between the four sides of its mask's bounding box and of its projected mesh, px
     sides     the same against the projected 3D box; small only for vehicles that are boxes themselves
@@ -22,13 +22,16 @@ __all__ = ["check_session", "main"]
 
 
 def check_session(session: Path) -> dict[str, Any]:
-    """Arrays `inside`, `outline`, `sides` (N,) over all unhidden vehicles inside the picture, and their `kind`.
+    """Measure how well masks, 3D boxes and pixels agree.
 
     Args:
         session: ROOT/dataset/NAME.
 
+    Returns:
+        Arrays (N,) over all unhidden vehicles inside the frame: `inside` (share), `outline` and `sides` (px), `kind`.
+
     Raises:
-        DataError: no truth beside it.
+        DataError: there is no truth for the session.
     """
     import cv2
     import numpy as np
@@ -40,7 +43,7 @@ def check_session(session: Path) -> dict[str, Any]:
     data = json.loads((folder / "masks.json").read_text(encoding="utf-8"))
     width, height = data["images"][0]["width"], data["images"][0]["height"]
     masks = {(a["image_id"], a["track_id"]): a for a in data["annotations"]}
-    found: dict[str, list[Any]] = {"kind": [], "inside": [], "outline": [], "sides": []}
+    measured: dict[str, list[Any]] = {"kind": [], "inside": [], "outline": [], "sides": []}
     for line in (folder / "boxes.jsonl").read_text(encoding="utf-8").splitlines():
         frame = json.loads(line)
         for vehicle in frame["vehicles"]:
@@ -57,12 +60,12 @@ def check_session(session: Path) -> dict[str, Any]:
             side = ahead[:, 0] * from_corner[..., 1] - ahead[:, 1] * from_corner[..., 0]
             inside = (side >= 0).all(axis=1) | (side <= 0).all(axis=1)
             mask_box = np.array([x, y, x + w, y + h])
-            found["kind"].append(vehicle["kind"])
-            found["inside"].append(float(inside.mean()))
-            found["outline"].append(float(np.abs(mask_box - outline).max()))
+            measured["kind"].append(vehicle["kind"])
+            measured["inside"].append(float(inside.mean()))
+            measured["outline"].append(float(np.abs(mask_box - outline).max()))
             box_xyxy = np.concatenate([box.min(axis=0), box.max(axis=0)])
-            found["sides"].append(float(np.abs(mask_box - box_xyxy).max()))
-    return {key: np.array(values) for key, values in found.items()}
+            measured["sides"].append(float(np.abs(mask_box - box_xyxy).max()))
+    return {key: np.array(values) for key, values in measured.items()}
 
 
 def main(
@@ -72,16 +75,16 @@ def main(
     import numpy as np
 
     for session in sessions:
-        found = check_session(session)
-        count = len(found["kind"])
+        measured = check_session(session)
+        count = len(measured["kind"])
         if not count:
             typer.echo(f"{session.name}: no unhidden vehicle lies inside the picture")
             continue
         typer.echo(
             f"{session.name}: {count} vehicles; mask inside the box by >= 99.5 %: "
-            f"{np.mean(found['inside'] >= 0.995):.2%} (least {found['inside'].min():.2%}); "
-            f"mask's bounding box within 2 px of the mesh's: {np.mean(found['outline'] <= 2):.2%}; "
-            f"of the 3D box's: {np.mean(found['sides'] <= 2):.2%}"
+            f"{np.mean(measured['inside'] >= 0.995):.2%} (least {measured['inside'].min():.2%}); "
+            f"mask's bounding box within 2 px of the mesh's: {np.mean(measured['outline'] <= 2):.2%}; "
+            f"of the 3D box's: {np.mean(measured['sides'] <= 2):.2%}"
         )
 
 

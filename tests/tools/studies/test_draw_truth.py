@@ -11,8 +11,8 @@ import typer
 from typer.testing import CliRunner
 
 from labelgen.errors import DataError
-from labelgen.synth.truth import draw as draw_truth
 from labelgen.synth.truth.session import write_session
+from tools.studies import draw_truth
 
 NAME = "session0_center"
 
