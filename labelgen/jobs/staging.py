@@ -4,22 +4,25 @@
 too, the data set is published: the old index is removed first, then the old shards, then the new shards are moved to
 `OUT`, and the new index last. A job that was killed at any moment, also during publication, continues from there. An
 older data set stays complete until the newer one is complete.
+
+Nothing is followed or deleted that labelgen did not write: links are refused, and so are foreign files in the staging
+folder. A staged index counts only if it is the job's own and all its shards are whole; otherwise it is made again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import shutil
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from labelgen.atomic_files import as_output_error, make_folder, remove_temporary_files, write_json
-from labelgen.errors import OutputError
+from labelgen.atomic_files import TEMPORARY_PREFIX, as_output_error, make_folder, remove_temporary_files, write_json
+from labelgen.errors import DataError, OutputError
 from labelgen.json_file import parse_json
-from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, read_index
+from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, file_hash, read_index
 from labelgen.shards.validate import content_is_intact
 
 try:
@@ -30,7 +33,9 @@ except ImportError:  # not on Windows, where two jobs are not kept apart
 __all__ = ["STAGING_NAME", "Staging"]
 
 STAGING_NAME = ".labelgen-job"
-_JOB_NAME = "job.json"
+_JOB_NAME, _LOCK_NAME = "job.json", "lock"
+_SHARDS, _TEMPORARY = "shard-*.h5", f"{TEMPORARY_PREFIX}*.tmp"
+_MAX_NAMED = 3
 
 
 class Staging:
@@ -47,7 +52,7 @@ class Staging:
         published: whether the data set is in its final folder.
 
     Raises:
-        OutputError: on entering: the folder is in use, holds something else, or cannot be written.
+        OutputError: on entering: the folder is in use, is a link, holds something else, or cannot be written.
     """
 
     def __init__(self, out: Path, description: Mapping[str, Any], *, overwrite: bool) -> None:
@@ -64,6 +69,11 @@ class Staging:
             if self.out.exists() and not self.out.is_dir():
                 raise OutputError(
                     f"out {self.out}: a file of that name is in the way; choose another folder", parameter="out"
+                )
+            if self.path.is_symlink():
+                raise OutputError(
+                    f"{self.path}: a link, and labelgen writes to no folder that a link leads to; remove it",
+                    parameter="out",
                 )
             fresh = [folder for folder in (self.path, self.out) if not folder.exists()]
         make_folder(self.path)
@@ -84,7 +94,7 @@ class Staging:
 
     def publish(self) -> None:
         """Move the complete data set to its final folder."""
-        _publish(self.path, self.out)
+        _publish(self.path, self.out, read_index(self.path))
         self.published = True
 
     def discard(self, *, only_if_fresh: bool = True) -> None:
@@ -93,14 +103,17 @@ class Staging:
         Args:
             only_if_fresh: whether to delete an empty final folder.
         """
-        shutil.rmtree(self.path, ignore_errors=True)
+        _remove_own(self.path)
         if only_if_fresh:
             with contextlib.suppress(OSError):
                 self.out.rmdir()
 
     def _take_lock(self) -> None:
+        path = self.path / _LOCK_NAME
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise OutputError(f"{path}: not a file that labelgen wrote; remove it", parameter="out")
         with as_output_error(self.path):
-            self._lock = (self.path / "lock").open("a")
+            self._lock = path.open("a")
         if fcntl is not None:
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -117,8 +130,10 @@ class Staging:
 
     def _prepare(self) -> None:
         job = self._read_job()
-        if (self.path / INDEX_NAME).exists():  # the job was killed during publication
-            _publish(self.path, self.out)
+        self._refuse_foreign_files(job)
+        index = self._read_staged_index(job)
+        if index is not None and (self._overwrite or not (self.out / INDEX_NAME).exists()):
+            _publish(self.path, self.out, index)  # the job was killed during publication
             make_folder(self.path)
             if job == self._description:
                 self.published = True
@@ -129,12 +144,65 @@ class Staging:
         if job != self._description:
             self._clear()
             write_json(self.path / _JOB_NAME, self._description)
+        for name in (INDEX_NAME, REJECTS_NAME):  # made anew from the shards
+            (self.path / name).unlink(missing_ok=True)
         remove_temporary_files(self.path)
-        for shard in sorted(self.path.glob("shard-*.h5")):
+        for shard in sorted(self.path.glob(_SHARDS)):
             if content_is_intact(shard):
                 self.resumed += 1
             else:
                 shard.unlink()
+
+    def _refuse_foreign_files(self, job: Any) -> None:
+        """Refuse a staging folder with what labelgen did not write, or that belongs to no job."""
+        with as_output_error(self.path):
+            entries = sorted(self.path.iterdir())
+        foreign = [path.name for path in entries if not _is_own(path)]
+        if not foreign and not (self.path / _JOB_NAME).exists():
+            foreign = [path.name for path in entries if path.name != _LOCK_NAME and not path.match(_TEMPORARY)]
+        if foreign:
+            named = ", ".join(foreign[:_MAX_NAMED]) + (", ..." if len(foreign) > _MAX_NAMED else "")
+            raise OutputError(
+                f"{self.path}: it holds what no labelgen job wrote ({named}); move it elsewhere, or choose another "
+                "folder",
+                parameter="out",
+            )
+        for name in (INDEX_NAME, REJECTS_NAME):
+            if (self.out / name).is_dir():
+                raise OutputError(f"{self.out / name}: a folder is in the way; move it elsewhere", parameter="out")
+
+    def _read_staged_index(self, job: Any) -> dict[str, Any] | None:
+        """Return the index of a publication that can be completed; None where there is none.
+
+        Shards that were moved up already, while another one is lost, are moved back.
+        """
+        if not (self.path / INDEX_NAME).is_file():
+            return None
+        try:
+            index = read_index(self.path)
+        except DataError:
+            return None
+        entries = index["shards"]
+        if not entries or index.get("job") != job or not all(Path(entry["name"]).match(_SHARDS) for entry in entries):
+            return None
+        places = {entry["name"]: self._place_of(entry) for entry in entries}
+        if all(places.values()):
+            return index
+        if not (self.out / INDEX_NAME).exists():  # otherwise nothing was moved up yet
+            with as_output_error(self.out):
+                for name, place in places.items():
+                    if place is not None and place.parent == self.out:
+                        os.replace(place, self.path / name)
+        return None
+
+    def _place_of(self, entry: Mapping[str, Any]) -> Path | None:
+        """Return where a shard of the staged index lies, whole: in the staging or in the final folder."""
+        for folder in (self.path, self.out):
+            path = folder / str(entry["name"])
+            with contextlib.suppress(OSError):
+                if _is_file(path) and file_hash(path) == entry.get("file_sha256"):
+                    return path
+        return None
 
     def _refuse_to_replace(self, job: Any) -> None:
         if (self.out / INDEX_NAME).exists():
@@ -162,20 +230,47 @@ class Staging:
 
     def _clear(self) -> None:
         with as_output_error(self.path):
-            for path in self.path.iterdir():
-                if path.name != "lock":
-                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            for path in _own_files(self.path):
+                if path.name != _LOCK_NAME:
+                    path.unlink()
 
 
-def _publish(staged: Path, out: Path) -> None:
+def _is_file(path: Path) -> bool:
+    """Tell whether a path is a regular file, and no link to one."""
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+def _is_own(path: Path) -> bool:
+    """Tell whether a path in a staging folder is a file as jobs write them."""
+    named = path.name in (_JOB_NAME, _LOCK_NAME, INDEX_NAME, REJECTS_NAME)
+    return _is_file(path) and (named or path.match(_SHARDS) or path.match(_TEMPORARY))
+
+
+def _own_files(folder: Path) -> list[Path]:
+    """Return the files of jobs in a staging folder. The job's identity comes last: without it, nothing is claimed."""
+    return sorted(filter(_is_own, folder.iterdir()), key=lambda path: path.name == _JOB_NAME)
+
+
+def _remove_own(staged: Path) -> None:
+    """Delete the files of jobs from a staging folder, and the folder if that leaves it empty."""
+    with contextlib.suppress(OSError):
+        for path in _own_files(staged):
+            path.unlink()
+        staged.rmdir()
+
+
+def _publish(staged: Path, out: Path, index: Mapping[str, Any]) -> None:
     """Replace the data set of a folder by the staged one; continues a replacement that was interrupted."""
-    names = [str(entry["name"]) for entry in read_index(staged)["shards"]]
+    names = [str(entry["name"]) for entry in index["shards"]]
     with as_output_error(out):
         (out / INDEX_NAME).unlink(missing_ok=True)
-        for old in out.glob("shard-*.h5"):
+        for old in out.glob(_SHARDS):
             if old.name not in names or (staged / old.name).exists():
                 old.unlink()
         for name in (*names, REJECTS_NAME, INDEX_NAME):
             if (staged / name).exists():
                 os.replace(staged / name, out / name)
-        shutil.rmtree(staged, ignore_errors=True)
+    _remove_own(staged)
