@@ -110,20 +110,23 @@ def merge(
     """Put shards of several data sets into one folder with a common index. Their content stays as it is."""
     from labelgen.errors import OutputError
     from labelgen.jobs.staging import Staging
-    from labelgen.shards import find_shards, merge_shards
+    from labelgen.shards import ShardReader, find_shards, merge_shards, summarise
+    from labelgen.shards.merge import merge_job
 
     sources = find_shards(shards)
     if any(path.resolve().parent == out.resolve() for path in sources):
         raise OutputError(f"--out {out}: it is one of the folders to merge; choose another")
     check_report_path(json_file)
-    job = {"command": "merge", "inputs": [str(path) for path in sources]}
-    with Staging(out, job, overwrite=overwrite) as staging:
-        try:
-            summary = merge_shards(shards, staging.path)
+    with Staging(out, merge_job(sources), overwrite=overwrite) as staging:
+        if staging.published:  # an earlier run of the same command was interrupted while publishing
+            summary = summarise([ShardReader(path) for path in find_shards([out])])
+        else:
+            try:
+                summary = merge_shards(shards, staging.path)
+            except BaseException:
+                staging.discard()
+                raise
             staging.publish()
-        except BaseException:
-            staging.discard()
-            raise
     summary.warnings += _unfinished(shards)
     show_summary("Merged", summary, out, json_file)
 

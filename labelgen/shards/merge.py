@@ -13,7 +13,12 @@ from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, summar
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.schema import HASH_ATTRIBUTE
 
-__all__ = ["merge_shards"]
+__all__ = ["merge_job", "merge_shards"]
+
+
+def merge_job(shards: Sequence[Path]) -> dict[str, Any]:
+    """Return the identity of a merging of shards, as its index states it."""
+    return {"command": "merge", "inputs": sorted({str(path.parent) for path in shards})}
 
 
 def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
@@ -51,8 +56,7 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
         write_atomic(target, path.read_bytes())
         originals[target.name] = by_folder[path.parent].get(path.name, {})
         written.append(target)
-    job = {"command": "merge", "inputs": sorted(str(folder) for folder in by_folder)}
-    write_index(out, written, job, originals)
+    write_index(out, written, merge_job(shards), originals)
     summary = summarise([ShardReader(path) for path in written])
     if len(by_hash) < len(shards):
         summary.warnings.append(f"{len(shards) - len(by_hash)} shards were there twice and are taken once")
