@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from labelgen.geometry.camera import look_at_road
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer, painting_order
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle, painting_order
+from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.shading.rasterizer import visible_triangles
 from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from labelgen.geometry.camera import look_at_road
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
+from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.placement import Prop, place_props
 from labelgen.synth.scene.props import ALONG, AT
 from labelgen.synth.scene.road_image import draw_scene
