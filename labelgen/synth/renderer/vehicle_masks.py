@@ -64,7 +64,17 @@ class Layer:
 def body_mask(
     ids: NDArray[np.int32], screen: NDArray[np.float64], mesh: Mesh, origin: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Return the pixels whose centre the body covers: those drawn, without those of parts outside the body."""
+    """Return the pixels whose centre the body of a vehicle covers.
+
+    Args:
+        ids: (h, w) which triangle of the mesh each pixel shows, -1 for none.
+        screen: (V, 3) frame px x, y and depth of the mesh's vertices.
+        mesh: with the parts that do not belong to the body, such as wing mirrors.
+        origin: frame px of the first pixel.
+
+    Returns:
+        (h, w) bool.
+    """
     mask = ids >= 0
     beside = ids >= len(mesh.body)
     rows, columns = np.flatnonzero(beside.any(axis=1)), np.flatnonzero(beside.any(axis=0))
