@@ -109,11 +109,13 @@ def test_same_command_same_bytes(labelgen, clip: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("masks", ["background", "coco"])
-def test_killed_at_any_moment_it_goes_on_and_ends_the_same(labelgen, clip: Path, tmp_path: Path, masks: str) -> None:
+def test_killed_at_any_moment_it_goes_on_and_ends_the_same(
+    labelgen_process, clip: Path, tmp_path: Path, masks: str
+) -> None:
     spec = masks if masks == "background" else f"coco:{clip.parent / 'masks.json'}"
     options = [clip, "--masks", spec, "--every", 1, "--per-shard", 6]
     start = time.perf_counter()
-    _run(labelgen, tmp_path / "whole", *options)
+    _run(labelgen_process, tmp_path / "whole", *options)
     whole = time.perf_counter() - start
     out = tmp_path / "out"
     command = [sys.executable, "-m", "labelgen", "bcs-masks", *options, "--out", out]
@@ -129,7 +131,7 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(labelgen, clip: Path,
         for path in out.glob("*.h5"):
             assert len(ShardReader(path)) <= 6
     if not (out / "dataset.json").exists():
-        _run(labelgen, out, *options)
+        _run(labelgen_process, out, *options)
     assert _hashes(out) == _hashes(tmp_path / "whole")
 
 
