@@ -14,6 +14,8 @@ from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.shading.rasterizer import visible_triangles
 from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle
 
+pytestmark = pytest.mark.slow
+
 CAMERA = look_at_road(7.0, (25.0, 1.0), 667.0, (640, 360))
 
 

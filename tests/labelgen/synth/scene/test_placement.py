@@ -22,6 +22,8 @@ from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_l
 from labelgen.synth.truth.session import write_session
 from labelgen.synth.vehicle.vehicle import make_vehicle
 
+pytestmark = pytest.mark.slow
+
 SIZE = (480, 270)
 CAMERA = look_at_road(7.0, (25.0, 0.5), 525.0, SIZE)
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import procedural_scene
 from labelgen.synth.scene.strips import strips
 from labelgen.synth.shading.lighting import Weather, make_light
+
+pytestmark = pytest.mark.slow
 
 SIZE = (320, 180)
 WINDOWS = np.array([[20, 60, 90, 130], [70, 100, 200, 170], [300, 0, 320, 10]])
