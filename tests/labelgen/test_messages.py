@@ -11,7 +11,14 @@ import pytest
 from labelgen.errors import LabelgenError
 
 ROOT = Path(__file__).resolve().parents[2]
-FILES = [path for room in ("labelgen", "detector") for path in (ROOT / room).rglob("*.py") if "cli" not in path.parts]
+# A file that is a program of its own has options, too.
+PROGRAM = 'if __name__ == "__main__":'
+FILES = [
+    path
+    for room in ("labelgen", "detector")
+    for path in (ROOT / room).rglob("*.py")
+    if "cli" not in path.parts and PROGRAM not in path.read_text(encoding="utf-8")
+]
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 
 
