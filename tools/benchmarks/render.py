@@ -1,4 +1,4 @@
-"""How fast frames are rendered, and what the time goes to.
+"""Measure how fast frames are rendered, and what takes the time.
 
     python -m tools.benchmarks.render --vehicles 8 --size 1920x1080
 
@@ -27,7 +27,7 @@ _FAULTY = Sensor(lines=0.8, smear=0.004, sharpen=0.8, peaking=0.8)
 
 
 class _Stages:
-    """Time per stage, without what nested stages take."""
+    """Processor time per stage, without the time of nested stages."""
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
@@ -51,7 +51,7 @@ class _Stages:
 def measure(
     vehicles: int, size_wh: tuple[int, int], frames: int, seed: int, folder: Path, *, faults: bool = False
 ) -> dict[str, Any]:
-    """Render `frames` frames that show `vehicles` vehicles each; with `faults` through a camera that has them all.
+    """Render `frames` frames that show `vehicles` vehicles each; with `faults` the camera has every fault.
 
     Returns:
         fps, ms per frame, ms per frame by stage, and ms once per vehicle for its texture and shadow.
@@ -82,7 +82,7 @@ def measure(
     batches = _busy_moments(renderer, trips, scene, vehicles, frames)
     count = len(batches)
     if not count:
-        raise DataError(f"--vehicles {vehicles}: this scene never shows so many; use fewer or another --seed")
+        raise DataError(f"vehicles {vehicles}: this scene never shows so many; use fewer or another seed")
     start = time.process_time()
     bodies = {p.track_id: p for placed in batches for p in placed}
     for p in bodies.values():
@@ -91,18 +91,11 @@ def measure(
     prepare = 1000 * (time.process_time() - start) / len(bodies)
     for placed in batches[:3]:
         renderer.frame(placed)
-    stages = _Stages()
-    functions = {
-        name: getattr(render, name) for name in ("visible_triangles", "shade", "_visible_parts", "painting_order")
-    }
-    for name, function in functions.items():
-        setattr(render, name, stages.timed(name.strip("_"), function))
-    for name in ("_cast_shadow", "_draw", "_paint", "_soften", "_add_noise", "frame"):
-        setattr(renderer, name, stages.timed(name.strip("_"), getattr(renderer, name)))
+    stages = _time_stages(render, renderer)
+    start = time.process_time()
     pixels = 0
     with VideoWriter(folder / "benchmark.avi", 25, size_wh) as writer:
         encode = stages.timed("encode", writer.write)
-        start = time.process_time()
         for number, placed in enumerate(batches):
             image, drawn = renderer.frame(placed, number=number)
             encode(image)
@@ -119,8 +112,20 @@ def measure(
     }
 
 
+def _time_stages(module: Any, renderer: Any) -> _Stages:
+    """Replace the stages of a renderer, and the functions of its module that it calls, by timed ones."""
+    stages = _Stages()
+    for owner, names in (
+        (module, ("visible_triangles", "shade", "visible_parts", "painting_order")),
+        (renderer, ("_cast_shadow", "_draw", "_paint", "_soften", "_add_noise", "frame")),
+    ):
+        for name in names:
+            setattr(owner, name, stages.timed(name.strip("_"), getattr(owner, name)))
+    return stages
+
+
 def _busy_moments(renderer: Any, trips: Any, scene: Any, vehicles: int, frames: int) -> list[Any]:
-    """Times at which at least so many vehicles show; of them the ones that cover most of the picture."""
+    """Choose moments at which at least so many vehicles show; returns the largest of them, placed, per moment."""
     from labelgen.synth.truth.session import place
 
     spans = {t.track_id: t.span_s(scene.x_range) for t in trips}
@@ -135,9 +140,9 @@ def _busy_moments(renderer: Any, trips: Any, scene: Any, vehicles: int, frames: 
             if trip.track_id not in bodies:
                 bodies[trip.track_id] = trip.vehicle(lamps=False)
         placed = [place(t, bodies[t.track_id], time_s) for t in here]
-        seen = {d.track_id: int(d.mask.sum()) for d in renderer.truth(placed)}
-        if len(seen) >= vehicles:
-            largest = sorted(seen, key=lambda k: -seen[k])[:vehicles]
+        areas_px = {d.track_id: int(d.mask.sum()) for d in renderer.truth(placed)}
+        if len(areas_px) >= vehicles:
+            largest = sorted(areas_px, key=lambda k: -areas_px[k])[:vehicles]
             batches.append([p for p in placed if p.track_id in largest])
     return batches
 
@@ -161,16 +166,17 @@ def main(
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(vehicles, parse_size(size), frames, seed, Path(folder), faults=faults)
+        report = measure(vehicles, parse_size(size), frames, seed, Path(folder), faults=faults)
     typer.echo(
-        f"{found['fps']:.1f} frames/s ({found['ms_per_frame']:.1f} ms per frame), {size}, {found['vehicles']} vehicles"
+        f"{report['fps']:.1f} frames/s ({report['ms_per_frame']:.1f} ms per frame), "
+        f"{size}, {report['vehicles']} vehicles"
     )
-    typer.echo(f"{found['vehicle_pixels_per_frame']} vehicle pixels per frame, {found['frames']} frames, one core")
-    typer.echo(f"{found['ms_per_vehicle']:.0f} ms once per vehicle for its texture and shadow, not counted above")
-    for name, ms in found["stages_ms"].items():
+    typer.echo(f"{report['vehicle_pixels_per_frame']} vehicle pixels per frame, {report['frames']} frames, one core")
+    typer.echo(f"{report['ms_per_vehicle']:.0f} ms once per vehicle for its texture and shadow, not counted above")
+    for name, ms in report["stages_ms"].items():
         typer.echo(f"{name:>20} {ms:7.2f} ms")
     if json_file is not None:
-        json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        json_file.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -37,7 +37,8 @@ from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask, Rule, parse_size
 from labelgen.masks import InstanceMasks
-from labelgen.synth.renderer.renderer import DrawnVehicle, Renderer
+from labelgen.synth.renderer.renderer import Renderer
+from labelgen.synth.renderer.vehicle_masks import DrawnVehicle
 from labelgen.synth.scene.scene import RoadScene
 from labelgen.synth.scene.traffic import Trip
 from labelgen.synth.shading.lighting import Weather

@@ -35,7 +35,8 @@ from labelgen.geometry import (
     rectified_outline,
     road_cuboids,
 )
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
+from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.road_image import draw_road
 from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.shading.lighting import Weather, make_light

@@ -28,7 +28,9 @@ from labelgen.synth.fitting.lighting import (
 from labelgen.synth.fitting.panel_noise import fit_to_panels
 from labelgen.synth.fitting.sensor import fit_sensor
 from labelgen.synth.fitting.sun import Shadows, find_shadows
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer, covered_by
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
+from labelgen.synth.renderer.renderer import Renderer
+from labelgen.synth.renderer.vehicle_masks import covered_by
 from labelgen.synth.scene.scene import FARTHEST_M, Lane, RoadScene, line_through, visible_range
 from labelgen.synth.scene.traffic import random_traffic
 from labelgen.synth.sensor.sensor import Sensor

@@ -8,7 +8,6 @@ pixels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -16,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry import Camera
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle, painting_order
+from labelgen.synth.renderer.vehicle_masks import DrawnVehicle, Layer, body_mask, covered_by, visible_parts
 from labelgen.synth.renderer.vehicle_shadows import GroundShadow, ground_shadow, shadow_colours
 from labelgen.synth.scene.static_layer import NO_SHADE, StaticLayer
 from labelgen.synth.sensor.compression_artifacts import add_block_artifacts
@@ -23,10 +24,8 @@ from labelgen.synth.sensor.glints import Glints
 from labelgen.synth.sensor.sensor import PLAIN, Sensor
 from labelgen.synth.shading.lighting import Light
 from labelgen.synth.shading.rasterizer import darken, lay_over, shade, visible_triangles
-from labelgen.synth.vehicle.mesh import Mesh
-from labelgen.synth.vehicle.vehicle import VehicleModel
 
-__all__ = ["DrawnVehicle", "PlacedVehicle", "Renderer", "covered_by", "painting_order"]
+__all__ = ["Renderer"]
 
 _MIN_DEPTH = 1.0
 """Depth of a vertex, metres, below which its vehicle is not drawn: it is beside or behind the camera."""
@@ -40,99 +39,6 @@ which it takes one; four between. More samples cost time, fewer show steps along
 _SUNNY = 0.3
 """Irradiance of the sun above which vehicles have glints."""
 _NOTHING = np.zeros((0, 0), dtype=np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedVehicle:
-    """A vehicle at its place on the road.
-
-    Args:
-        track_id: number of the vehicle; its shadow is kept under this number.
-        vehicle: its model.
-        centre_xy: (2,) metres, middle of its cuboid's floor in the road frame.
-        heading: +1 away from the camera, -1 towards it.
-        speed_ms: speed for its motion blur, m/s.
-    """
-
-    track_id: int
-    vehicle: VehicleModel
-    centre_xy: NDArray[np.float64]
-    heading: int
-    speed_ms: float
-
-    @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Ground that it covers: x0, x1, y0, y1, metres on the road."""
-        half = self.vehicle.size_lwh / 2
-        x, y = self.centre_xy
-        return x - half[0], x + half[0], y - half[1], y + half[1]
-
-    def world(self) -> NDArray[np.float64]:
-        """Return the vertices of its mesh (V, 3) in the road frame, metres."""
-        turned = self.vehicle.mesh.vertices * np.array([self.heading, self.heading, 1.0])
-        turned[:, :2] += self.centre_xy
-        return np.asarray(turned)
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnVehicle:
-    """Exact mask and outline of a vehicle in a frame.
-
-    Args:
-        track_id: number of the vehicle.
-        mask: (h, w) bool, its visible pixels without those of wing mirrors.
-        origin_px: (x, y) frame px of the mask's first pixel.
-        visible: share of the pixels it would cover alone that are visible.
-        outline_xyxy: (4,) px, around its projected mesh without wing mirrors, hidden and outside parts included.
-    """
-
-    track_id: int
-    mask: NDArray[np.bool_]
-    origin_px: tuple[int, int]
-    visible: float
-    outline_xyxy: NDArray[np.float64]
-
-
-def covered_by(drawn: Sequence[DrawnVehicle], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return (H, W) bool: where a frame of this height and width shows vehicles."""
-    out = np.zeros(size_hw, dtype=np.bool_)
-    for vehicle in drawn:
-        (x, y), (h, w) = vehicle.origin_px, vehicle.mask.shape
-        out[y : y + h, x : x + w] |= vehicle.mask
-    return out
-
-
-def painting_order(vehicles: Sequence[PlacedVehicle]) -> list[int]:
-    """Return the vehicles' indices from back to front, for a camera above X = 0, Y = 0."""
-
-    def behind(a: PlacedVehicle, b: PlacedVehicle) -> bool:
-        """Whether `a` may be hidden by `b`."""
-        ax0, ax1, ay0, ay1 = a.bounds
-        bx0, bx1, by0, by1 = b.bounds
-        # A plane between the two decides: the one on the camera's side of it may hide the other.
-        if ay0 >= by1:
-            return by1 > 0
-        if by0 >= ay1:
-            return by0 < 0
-        if ax0 >= bx1:
-            return bx1 > 0
-        return bx0 >= ax1 and bx0 < 0
-
-    left = sorted(range(len(vehicles)), key=lambda i: -float(np.hypot(*vehicles[i].centre_xy)))
-    order: list[int] = []
-    while left:
-        # The first one that hides none of the others still to be drawn; cycles fall back to the farthest.
-        free = (
-            i
-            for i in left
-            if not any(
-                behind(vehicles[j], vehicles[i]) for j in left if j != i and not behind(vehicles[i], vehicles[j])
-            )
-        )
-        farthest = next(free, left[0])
-        left.remove(farthest)
-        order.append(farthest)
-    return order
 
 
 class Renderer:
@@ -197,7 +103,7 @@ class Renderer:
         for placed in ordered:
             self._cast_shadow(image, placed)
         layers = [layer for layer in (self._draw(image, placed) for placed in ordered) if layer is not None]
-        drawn = _visible_parts(layers)
+        drawn = visible_parts(layers)
         image = self._into_picture(image) if self.sensor.in_picture else self.sensor.before_noise(image)
         self._add_noise(image, number, drawn)
         self.sensor.write(image, time_s)
@@ -206,7 +112,7 @@ class Renderer:
     def truth(self, vehicles: Sequence[PlacedVehicle]) -> list[DrawnVehicle]:
         """Return the masks that `frame` returns, without drawing."""
         ordered = [vehicles[i] for i in painting_order(vehicles)]
-        return _visible_parts([x for x in (self._draw(None, placed) for placed in ordered) if x is not None])
+        return visible_parts([x for x in (self._draw(None, placed) for placed in ordered) if x is not None])
 
     def forget(self, track_ids: set[int]) -> None:
         """Drop the shadows of vehicles that have left the scene."""
@@ -268,7 +174,7 @@ class Renderer:
         x1, y1 = min(int(high[0]), self.size_wh[0]), min(int(high[1]), self.size_wh[1])
         return None if x0 >= x1 or y0 >= y1 else (x0, y0, x1, y1)
 
-    def _draw(self, image: NDArray[np.uint8] | None, placed: PlacedVehicle) -> _Layer | None:
+    def _draw(self, image: NDArray[np.uint8] | None, placed: PlacedVehicle) -> Layer | None:
         camera, mesh = self.camera, placed.vehicle.mesh
         world = placed.world()
         depth = (world - np.array([0.0, 0.0, camera.height_m])) @ camera.axes[:, 2]
@@ -286,13 +192,13 @@ class Renderer:
         hidden = None if self.static_layer is None else self.static_layer.in_front(window, placed.bounds)
         if image is not None:
             self._paint(image, placed, screen, centres, window, hidden)
-        mask = _body_mask(centres, screen, mesh, origin)
+        mask = body_mask(centres, screen, mesh, origin)
         alone = int(np.count_nonzero(mask))
         if hidden is not None:
             mask &= hidden < 128
         body = pixels[mesh.body_vertices]
         outline = np.concatenate([body.min(axis=0), body.max(axis=0)])
-        return _Layer(placed.track_id, mask, alone, (x0, y0), outline)
+        return Layer(placed.track_id, mask, alone, (x0, y0), outline)
 
     def _paint(
         self, image: NDArray[np.uint8], placed: PlacedVehicle, screen: NDArray[np.float64], centres: NDArray[np.int32],
@@ -363,46 +269,3 @@ class Renderer:
         rng = np.random.default_rng([number, 5])
         dx, dy = rng.integers(0, 128, 2).tolist()
         cv2.addWeighted(image, 1.0, self._noise[dy : dy + height, dx : dx + width], 1.0, -128.0, dst=image)
-
-
-@dataclass(frozen=True, eq=False)
-class _Layer:
-    track_id: int
-    mask: NDArray[np.bool_]
-    alone: int
-    origin_px: tuple[int, int]
-    outline_xyxy: NDArray[np.float64]
-
-
-def _body_mask(
-    ids: NDArray[np.int32], screen: NDArray[np.float64], mesh: Mesh, origin: tuple[float, float]
-) -> NDArray[np.bool_]:
-    """Return the pixels whose centre the body covers: those drawn, without those of parts outside the body."""
-    mask = ids >= 0
-    beside = ids >= len(mesh.body)
-    rows, columns = np.flatnonzero(beside.any(axis=1)), np.flatnonzero(beside.any(axis=0))
-    if len(rows):
-        x, y = int(columns[0]), int(rows[0])
-        part = np.s_[y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
-        size = (int(columns[-1]) + 1 - x, int(rows[-1]) + 1 - y)
-        mask[part] = visible_triangles(screen, mesh.body, size, (origin[0] + x, origin[1] + y), 1, True) >= 0
-    return mask
-
-
-def _visible_parts(layers: Sequence[_Layer]) -> list[DrawnVehicle]:
-    """Remove from each mask what later layers cover; what props cover has been removed before."""
-    drawn = []
-    for i, layer in enumerate(layers):
-        mask = layer.mask.copy()
-        x, y = layer.origin_px
-        h, w = mask.shape
-        for other in layers[i + 1 :]:
-            ox, oy = other.origin_px
-            oh, ow = other.mask.shape
-            x0, y0, x1, y1 = max(x, ox), max(y, oy), min(x + w, ox + ow), min(y + h, oy + oh)
-            if x0 < x1 and y0 < y1:
-                mask[y0 - y : y1 - y, x0 - x : x1 - x] &= ~other.mask[y0 - oy : y1 - oy, x0 - ox : x1 - ox]
-        visible = int(np.count_nonzero(mask))
-        if visible:
-            drawn.append(DrawnVehicle(layer.track_id, mask, layer.origin_px, visible / layer.alone, layer.outline_xyxy))
-    return drawn

@@ -113,8 +113,8 @@ def ground_shadow(vehicle: VehicleModel, heading: int, light: Light) -> GroundSh
     left = 1 - fade * (1 - left)
     # What the camera's curve makes of darker asphalt, as a share of what it makes of the open road's.
     shares = np.linspace(0, 1, 256)
-    seen = light.grey_levels(shares[:, None] * light.road_radiance).mean(axis=1)
-    levels = np.interp(left.clip(0, 1), shares, (255 * seen / max(float(seen[-1]), 1.0)).clip(0, 255))
+    grey = light.grey_levels(shares[:, None] * light.road_radiance).mean(axis=1)
+    levels = np.interp(left.clip(0, 1), shares, (255 * grey / max(float(grey[-1]), 1.0)).clip(0, 255))
     levels = levels.round().astype(np.uint8)
     x, y, w, h = cv2.boundingRect((levels < 252).astype(np.uint8))
     to_body = np.array(

@@ -1,7 +1,7 @@
-"""What stands beside roads: each function makes one kind of thing.
+"""Props beside roads: each function makes one kind.
 
-A thing along the road takes (x0, x1, y, side): it runs from x0 to x1 at distance y, and `side` (+1 or -1) points away
-from the road. A thing at one place takes (x, y, side). All look different from one generator to the next.
+A prop along the road takes (x0, x1, y, side): it runs from x0 to x1 at y, metres, and `side` (+1 or -1) points away
+from the road. A prop at one place takes (x, y, side). `rng` decides its size, colours and details.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def railing(x0: float, x1: float, y: float, side: int, rng: Rng) -> Triangles:
         parts.append(box((x, y - 0.012, 0.18), (x + 0.025, y + 0.012, high), tone))
     for x in np.arange(x0, x1, 2.5).tolist():
         parts.append(box((x - 0.05, y - 0.05, 0), (x + 0.05, y + 0.05, high + 0.12), tone))
-    if reach < x1:  # bars that far away melt into a veil
+    if reach < x1:  # bars that far away are thinner than a pixel: a thin plate shows their mean
         veil = tuple(0.6 * c + 0.06 for c in tone)
         parts.append(box((reach, y, 0.5 * high), (x1, y + 0.01, 0.62 * high), veil))
     return gather(parts)
@@ -247,7 +247,7 @@ def utility_pole(x: float, y: float, side: int, rng: Rng) -> Triangles:
 
 
 def bus_stop(x: float, y: float, side: int, rng: Rng) -> Triangles:
-    """A shelter: posts, roof, a back of glass or advertising, a bench, a sign and who waits."""
+    """A shelter: posts, roof, a back of glass or advertising, a bench, and pedestrians who wait."""
     long, deep, tone = rng.uniform(3, 9), rng.uniform(1.2, 2.0), _grey(rng, 0.05, 0.5)
     back = y + side * deep
     ys = sorted((y - side * 0.3, back + side * 0.2))
@@ -267,7 +267,7 @@ def bus_stop(x: float, y: float, side: int, rng: Rng) -> Triangles:
 
 
 def pedestrian(x: float, y: float, side: int, rng: Rng) -> Triangles:
-    """Somebody who stands there."""
+    """A pedestrian who stands still."""
     del side
     high = rng.uniform(1.5, 1.9)
     coat, legs = _bright(rng) if rng.random() < 0.25 else _grey(rng, 0.02, 0.3), _grey(rng, 0.01, 0.12)
@@ -368,10 +368,10 @@ ALONG: dict[str, Callable[[float, float, float, int, Rng], Triangles]] = {
     "guard rail": guard_rail, "concrete barrier": concrete_barrier, "railing": railing, "post fence": post_fence,
     "mesh fence": mesh_fence, "wall": wall, "hedge": hedge, "kerb": kerb,
 }  # fmt: skip
-"""Things that run along the road: (x0, x1, y, side, rng) -> triangles."""
+"""Props along the road: (x0, x1, y, side, rng) -> triangles."""
 
 AT: dict[str, Callable[[float, float, int, Rng], Triangles]] = {
     "bush": bush, "tree": tree, "sign post": sign_post, "lamp post": lamp_post, "utility pole": utility_pole,
     "bus stop": bus_stop, "pedestrian": pedestrian, "cabinet": cabinet, "bollards": bollards, "building": building,
 }  # fmt: skip
-"""Things at one place: (x, y, side, rng) -> triangles."""
+"""Props at one place: (x, y, side, rng) -> triangles."""

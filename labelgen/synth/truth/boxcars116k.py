@@ -25,7 +25,8 @@ from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.errors import OutputError
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.progress import progress_bar
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
+from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.scene.traffic import Trip, random_traffic

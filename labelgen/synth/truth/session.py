@@ -16,7 +16,9 @@ from labelgen.atomic_files import make_folder, write_atomic, write_json
 from labelgen.datasets.scene import is_session
 from labelgen.errors import OutputError
 from labelgen.progress import defer_interrupt, progress_bar
-from labelgen.synth.renderer.renderer import DrawnVehicle, PlacedVehicle, Renderer
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
+from labelgen.synth.renderer.renderer import Renderer
+from labelgen.synth.renderer.vehicle_masks import DrawnVehicle
 from labelgen.synth.scene.road_image import draw_scene
 from labelgen.synth.scene.scene import RoadScene, procedural_scene, visible_range
 from labelgen.synth.scene.static_layer import StaticLayer
@@ -112,17 +114,12 @@ def write_session(
     """
     check_kinds(kinds or [])
     check_plates(plates)
+    _check_replay(scene, replay)
     if scene is None:
-        if replay:
-            raise OutputError(
-                "there is no recorded traffic to re-enact; name a real session as the scene", parameter="replay"
-            )
         setting = _made_up(seed, size_wh, heading, name or "session0_center", weather)
     elif is_session(scene):
         setting = _real(scene, weather, seed)
     else:
-        if replay:
-            raise OutputError(f"{scene}: it has no recorded traffic (gt_data.pkl) to re-enact", parameter="replay")
         setting = _own(
             scene, weather, seed, out, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
             plates=plates,
@@ -146,6 +143,16 @@ def write_session(
         files,
         setting.measured,
     )
+
+
+def _check_replay(scene: Path | None, replay: bool) -> None:
+    """Raise OutputError when there is no recorded traffic to replay."""
+    if replay and scene is None:
+        raise OutputError(
+            "there is no recorded traffic to re-enact; name a real session as the scene", parameter="replay"
+        )
+    if replay and scene is not None and not is_session(scene):
+        raise OutputError(f"{scene}: it has no recorded traffic (gt_data.pkl) to re-enact", parameter="replay")
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import make_folder
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.labels import VehicleClass
-from labelgen.synth.renderer.renderer import DrawnVehicle
+from labelgen.synth.renderer.vehicle_masks import DrawnVehicle
 from labelgen.synth.scene.traffic import Trip
 from labelgen.synth.vehicle.body_types import BODY_TYPES
 

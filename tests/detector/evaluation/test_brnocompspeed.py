@@ -282,6 +282,7 @@ def nasty(rng: np.random.Generator) -> Traffic:
     return scene
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_agrees_with_the_protocol_car_by_car(seed: int, low_horizon: bool) -> None:

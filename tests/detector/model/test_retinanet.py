@@ -41,6 +41,7 @@ def smooth_l1(error: float) -> float:
 # -- the same as torchvision --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convs", [1, 4])
 def test_detections_are_torchvisions_on_the_same_weights(convs: int) -> None:
     model = seeded(replace(LIGHT, channels=64, head_convs=convs, cc_weight=0.0), score_thresh=0.005).eval()
@@ -59,6 +60,7 @@ def test_detections_are_torchvisions_on_the_same_weights(convs: int) -> None:
             assert torch.equal(ours[key], value)
 
 
+@pytest.mark.slow
 def test_full_size_default_is_torchvisions_architecture() -> None:
     ours = build_model(ModelConfig(), weights="none").state_dict()
     from torchvision.models.detection import retinanet_resnet50_fpn
@@ -150,6 +152,7 @@ def test_gradients_reach_cc_through_positive_anchors_alone() -> None:
     assert (outputs["cc"].grad != 0).tolist() == [[False, False, True, False]]
 
 
+@pytest.mark.slow
 # IoU of a 10x10 label with an anchor of the same shape shifted right by d is (10 - d) / (10 + d).
 @pytest.mark.parametrize(
     ("shift", "kind"), [(3.3, "positive"), (3.4, "neither"), (4.2, "neither"), (4.4, "negative"), (20.0, "negative")]
@@ -195,6 +198,7 @@ def test_backbones_by_name(name: str) -> None:
     assert [tuple(f.shape) for f in features.values()] == [(1, 32, 8, 12), (1, 32, 4, 6), (1, 32, 2, 3)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

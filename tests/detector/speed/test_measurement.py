@@ -86,6 +86,7 @@ def cuboid_masks(drives: list[Drive]) -> InstanceMasks:
     return InstanceMasks.from_masks((width, height), masks, [1] * len(masks), np.full(len(masks), 0.9))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", list(Pair))
 @pytest.mark.parametrize(
     ("variant", "across_m"),

@@ -29,6 +29,7 @@ def drive_past(
 STEADY = [n / 50 for n in range(250)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", list(Pair))
 @pytest.mark.parametrize("variant", [v for v in Variant if v is not Variant.ORIG2D])
 @pytest.mark.parametrize(("heading", "start_m"), [(-1, 68.0), (1, 15.0)])

@@ -20,6 +20,8 @@ from detector_shards import write_painted_shards
 from detector.checkpoint import METADATA_KEY, load_model, read_checkpoint
 from labelgen.geometry import Pair
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("lightning")
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

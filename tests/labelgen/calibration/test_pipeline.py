@@ -10,6 +10,8 @@ from labelgen.calibration.confidence import CalibrationRefusedError, Reason
 from labelgen.calibration.pipeline import calibrate_video
 from labelgen.geometry.camera import look_at_road
 
+pytestmark = pytest.mark.slow
+
 BOTH_WAYS = [(3.0, -22.0), (6.5, -25.0), (10.0, 20.0)]
 
 

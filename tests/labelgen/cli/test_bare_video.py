@@ -12,6 +12,8 @@ from labelgen.cli.main import main
 from labelgen.geometry import Camera
 from labelgen.synth.truth.session import write_session
 
+pytestmark = pytest.mark.slow
+
 SIZE = (640, 360)
 
 

@@ -52,6 +52,7 @@ def speeds(folder: Path, variant: str = "transform3d") -> list[float]:
     return [float(row["speed_kmh"]) for row in sorted(found, key=lambda row: float(row["first_s"]))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variant", "pair", "tolerance"),
     [
@@ -188,6 +189,7 @@ def test_all_that_is_written(scene: Path, tmp_path: Path) -> None:
     assert all(np.ptp(picture, axis=2).max() > 60 for picture in pictures[10:90])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["transform3d", "maskrcnn3d", "orig2d"])
 def test_detections_give_the_same_speeds_again(scene: Path, tmp_path: Path, variant: str) -> None:
     video = scene / "road.mp4"
@@ -417,6 +419,7 @@ def test_a_stream_teaches_the_background_first(camera_feed: Path, tmp_path: Path
     )  # of 100, the first second is learnt from
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "render"), [(12_000, False), (60_000, True)])
 def test_a_disk_that_fills(scene: Path, tmp_path: Path, limit: int, render: bool) -> None:
     """A limit on the size of files stands in for the disk; the detections, or the video, are the first to reach it."""

@@ -178,6 +178,7 @@ def _random_rectifications(count: int, seed: int):
         made += 1
 
 
+@pytest.mark.slow
 def test_directions_orientation_and_coverage_of_random_scenes():
     for camera, mask, rect in _random_rectifications(120, seed=5):
         assert rect.frame_coverage >= 0.8

@@ -87,6 +87,7 @@ BROKEN: list[tuple[Callable[[Any], None], dict[str, int], int]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pkl", "json"])
 @pytest.mark.parametrize(("change", "reasons", "labels"), BROKEN, ids=range(len(BROKEN)))
 def test_damaged_values_reject_only_their_instances(

@@ -40,6 +40,7 @@ def _run(labelgen, out: Path, *arguments: object) -> dict:
     return json.loads(report.read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", list(Pair))
 @pytest.mark.parametrize(("rule", "region"), [("wider", "road"), ("conditioned", "road"), ("wider", "frame")])
 def test_labels_are_those_of_the_exact_boxes(
@@ -92,6 +93,7 @@ def test_frames_that_are_not_rectified(labelgen, clip: Path, tmp_path: Path) -> 
     assert labelgen("bcs-masks", clip, "--masks", masks, "--region", "sky").returncode == 2
 
 
+@pytest.mark.slow
 def test_background_masks_find_the_cars(labelgen, tmp_path: Path) -> None:
     longer = write_clip(tmp_path, 200, coco=False)
     report = _run(labelgen, tmp_path / "out", longer, "--masks", "background", "--every", 10)
@@ -100,6 +102,7 @@ def test_background_masks_find_the_cars(labelgen, tmp_path: Path) -> None:
     assert settings["masks"] == "background"
 
 
+@pytest.mark.slow
 def test_same_command_same_bytes(labelgen, clip: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         _run(labelgen, tmp_path / name, clip, "--masks", "background", "--every", 5, "--per-shard", 4)
@@ -109,11 +112,13 @@ def test_same_command_same_bytes(labelgen, clip: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("masks", ["background", "coco"])
-def test_killed_at_any_moment_it_goes_on_and_ends_the_same(labelgen, clip: Path, tmp_path: Path, masks: str) -> None:
+def test_killed_at_any_moment_it_goes_on_and_ends_the_same(
+    labelgen_process, clip: Path, tmp_path: Path, masks: str
+) -> None:
     spec = masks if masks == "background" else f"coco:{clip.parent / 'masks.json'}"
     options = [clip, "--masks", spec, "--every", 1, "--per-shard", 6]
     start = time.perf_counter()
-    _run(labelgen, tmp_path / "whole", *options)
+    _run(labelgen_process, tmp_path / "whole", *options)
     whole = time.perf_counter() - start
     out = tmp_path / "out"
     command = [sys.executable, "-m", "labelgen", "bcs-masks", *options, "--out", out]
@@ -129,10 +134,11 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(labelgen, clip: Path,
         for path in out.glob("*.h5"):
             assert len(ShardReader(path)) <= 6
     if not (out / "dataset.json").exists():
-        _run(labelgen, out, *options)
+        _run(labelgen_process, out, *options)
     assert _hashes(out) == _hashes(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_several_videos_make_one_data_set_in_any_number_of_processes(labelgen, clip: Path, tmp_path: Path) -> None:
     other = write_clip(tmp_path / "two", 20, name="other.mp4")
     for workers in (1, 2):

@@ -78,6 +78,7 @@ class Payload:
         return os.mkdir, (str(self.path),)
 
 
+@pytest.mark.slow
 def test_files_of_the_wrong_kind_are_refused(model: Any, tmp_path: Path) -> None:
     state = dict(model.state_dict())
     cut = {k: v for k, v in state.items() if not k.startswith("rpn.")} | {"extra.weight": torch.zeros(1)}

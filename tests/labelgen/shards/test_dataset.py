@@ -46,6 +46,7 @@ def test_a_dataset_transforms_its_samples(folder: Path) -> None:
     np.testing.assert_array_equal(data[2][1], ShardDataset(folder)[2].labels.boxes_xyxy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_workers_of_a_data_loader_read_a_dataset(folder: Path, method: str) -> None:
     from torch.utils.data import DataLoader

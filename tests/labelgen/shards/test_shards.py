@@ -108,6 +108,7 @@ def _sum_of(reader: ShardReader, queue) -> None:
     queue.put((len(reader), sum(len(sample.encoded) + len(sample.labels) for sample in reader)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["spawn", "fork"])
 def test_an_open_reader_goes_to_other_processes(tmp_path: Path, method: str) -> None:
     path = tmp_path / "shard-00000.h5"
@@ -279,6 +280,7 @@ def test_validate_finds_other_rejects(tmp_path: Path, content: bytes | None) -> 
     assert any("rejects.jsonl" in text for text in validate_shards([tmp_path])[tmp_path])
 
 
+@pytest.mark.slow
 def test_many_shards_need_few_open_files(tmp_path: Path) -> None:
     import resource
 
@@ -294,6 +296,7 @@ def test_many_shards_need_few_open_files(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
+@pytest.mark.slow
 def test_flipped_bits_never_end_in_a_traceback(tmp_path: Path) -> None:
     path = tmp_path / "shard-00000.h5"
     write_shard(path)

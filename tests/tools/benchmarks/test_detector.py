@@ -17,6 +17,8 @@ from tools.benchmarks import detector as benchmark_detector
 from tools.benchmarks import loader as benchmark_loader
 from tools.benchmarks import sizes as benchmark_sizes
 
+pytestmark = pytest.mark.slow
+
 
 def test_branch_benchmark(tmp_path: Path) -> None:
     out = tmp_path / "out.json"

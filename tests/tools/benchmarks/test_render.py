@@ -8,6 +8,8 @@ import pytest
 
 from tools.benchmarks import render as benchmark_render
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_benchmark_accounts_for_its_time(tmp_path: Path) -> None:
     report = benchmark_render.measure(2, (640, 360), 3, 0, tmp_path)

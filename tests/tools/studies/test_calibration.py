@@ -11,6 +11,8 @@ from labelgen.geometry import Camera
 from tools.benchmarks.calibrate import measure, recode
 from tools.studies.calibration import angle_deg, app, tilt_deg
 
+pytestmark = pytest.mark.slow
+
 
 def test_tracks_table_of_the_real_recordings(real_data):
     shown = CliRunner().invoke(app, ["tracks", str(real_data / "brnocompspeed")]).output

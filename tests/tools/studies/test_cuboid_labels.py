@@ -41,6 +41,7 @@ def test_masks_cover_what_the_polygon_covers():
         assert mask.sum() == pytest.approx(hull.area, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_page_is_written_and_says_the_same_twice(tree, tmp_path, capsys):
     out = tmp_path / "docs" / "accuracy.md"
     command = ["--real", str(tree), "--count", "40", "--out", str(out)]

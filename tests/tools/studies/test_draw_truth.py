@@ -14,6 +14,8 @@ from labelgen.errors import DataError
 from labelgen.synth.truth.session import write_session
 from tools.studies import draw_truth
 
+pytestmark = pytest.mark.slow
+
 NAME = "session0_center"
 
 

@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 from labelgen.synth.truth.session import write_session
 from tools.studies.speed_variants import app, format_tables
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.slow
 def test_measure_and_write(tmp_path: Path) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from labelgen.geometry import Rule
 from labelgen.synth.scene.scene import procedural_scene
 from tools.studies import vehicle_labels as label_truth
+
+pytestmark = pytest.mark.slow
 
 
 def test_labels_of_boxes_are_exact_and_those_of_cars_are_not() -> None:

@@ -126,6 +126,7 @@ def test_a_camera_comes_of_every_vanishing_point(vp1):
     )
 
 
+@pytest.mark.slow
 def test_real_tracks_of_all_recordings(real_data):
     """Acceptance: median within 0.5 degrees of the published VP1, 8 of 10 within 1 (0.36 measured)."""
     angles = {}

@@ -142,6 +142,7 @@ def test_two_that_touch_at_a_corner_are_cut(primed_source: MaskSource) -> None:
     assert max(iou(masks, two)) > 0.7
 
 
+@pytest.mark.slow
 def test_vehicles_must_stand_on_the_road() -> None:
     mask = np.zeros((WH[1], WH[0]), dtype=np.uint8)
     mask[:, 320:] = 255
@@ -158,6 +159,7 @@ def test_road_mask_of_another_size_is_refused() -> None:
         source.observe(road())
 
 
+@pytest.mark.slow
 def test_masks_change_nothing_and_repeat() -> None:
     frames = list(traffic(road(), 20))
     results = []
@@ -173,6 +175,7 @@ def test_masks_change_nothing_and_repeat() -> None:
         np.testing.assert_array_equal(one, two)
 
 
+@pytest.mark.slow
 def test_follows_the_light() -> None:
     source = primed()
     box = (300, 150, 380, 220)
@@ -184,6 +187,7 @@ def test_follows_the_light() -> None:
     assert max(iou(masks_of(source, noisy(drive(scene, box, (30, 30, 190)), 78)), box), default=0) > 0.75
 
 
+@pytest.mark.slow
 def test_ghost_of_a_vehicle_that_left_is_no_mask_and_is_forgotten() -> None:
     box = (300, 150, 380, 220)
     parked = drive(road(), box, (30, 30, 190))
@@ -196,6 +200,7 @@ def test_ghost_of_a_vehicle_that_left_is_no_mask_and_is_forgotten() -> None:
     assert max(iou(back, box), default=0) > 0.75
 
 
+@pytest.mark.slow
 def test_swaying_camera() -> None:
     box = (300, 150, 380, 220)
     scene = cv2.copyMakeBorder(road(), 8, 8, 8, 8, cv2.BORDER_REFLECT)
@@ -212,6 +217,7 @@ def test_swaying_camera() -> None:
     assert iou(masks, box)[0] > 0.8
 
 
+@pytest.mark.slow
 def test_sway_is_undone_frame_after_frame() -> None:
     scene = cv2.copyMakeBorder(road(), 8, 8, 8, 8, cv2.BORDER_REFLECT)
     box = (240, 120, 400, 240)  # it hides the middle, which only what lies around can make up for
@@ -228,6 +234,7 @@ def test_sway_is_undone_frame_after_frame() -> None:
     assert min(share[0] for share in shares) > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size_wh", [(640, 1), (1, 640), (641, 7), (3, 5), (48, 48)])
 def test_slivers_and_thumbnails_do_no_harm(size_wh: tuple[int, int]) -> None:
     w, h = size_wh
@@ -244,6 +251,7 @@ def test_slivers_and_thumbnails_do_no_harm(size_wh: tuple[int, int]) -> None:
         assert all(masks.full(j).shape == (h, w) for j in range(len(masks)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_works_at_any_size(factor: float) -> None:
     def sized(image: np.ndarray) -> np.ndarray:

@@ -12,6 +12,8 @@ from labelgen.errors import DataError
 from labelgen.media.video_writer import VideoWriter
 from labelgen.synth.fitting.footage import read_footage
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_video_too_short_to_show_the_road_is_told(tmp_path: Path) -> None:
     with VideoWriter(tmp_path / "short.avi", 10, (320, 180)) as writer:

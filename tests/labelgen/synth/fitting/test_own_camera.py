@@ -32,6 +32,8 @@ from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.truth.session import place, write_session
 from tools.studies.check_truth import check_session
 
+pytestmark = pytest.mark.slow
+
 SIZE = (480, 270)
 NAME = "own"
 

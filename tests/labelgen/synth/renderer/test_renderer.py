@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from labelgen.geometry.camera import look_at_road
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer, painting_order
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle, painting_order
+from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.shading.rasterizer import visible_triangles
 from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle
+
+pytestmark = pytest.mark.slow
 
 CAMERA = look_at_road(7.0, (25.0, 1.0), 667.0, (640, 360))
 

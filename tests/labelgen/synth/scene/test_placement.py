@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from labelgen.geometry.camera import look_at_road
-from labelgen.synth.renderer.renderer import PlacedVehicle, Renderer
+from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
+from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.placement import Prop, place_props
 from labelgen.synth.scene.props import ALONG, AT
 from labelgen.synth.scene.road_image import draw_scene
@@ -20,6 +21,8 @@ from labelgen.synth.sensor.sensor import Caption, Sensor, make_sensor
 from labelgen.synth.shading.lighting import Light, Weather, make_light, varied_light
 from labelgen.synth.truth.session import write_session
 from labelgen.synth.vehicle.vehicle import make_vehicle
+
+pytestmark = pytest.mark.slow
 
 SIZE = (480, 270)
 CAMERA = look_at_road(7.0, (25.0, 0.5), 525.0, SIZE)

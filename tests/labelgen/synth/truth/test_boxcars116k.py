@@ -15,6 +15,8 @@ from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, cuboid_sizes
 
+pytestmark = pytest.mark.slow
+
 
 def write(out: Path, *more: str) -> None:
     arguments = ["boxcars", "--out", str(out), "--vehicles", "4", "--seed", "2", *more]

@@ -14,6 +14,8 @@ from labelgen.errors import DataError
 from labelgen.geometry import Camera
 from labelgen.synth.truth.session import write_session
 
+pytestmark = pytest.mark.slow
+
 REAL = os.environ.get("LABELGEN_REAL_DATA")
 SCENES = ["session1_left", "session2_center", "session3_right", "session5_center"]
 needs_real_data = pytest.mark.skipif(REAL is None, reason="LABELGEN_REAL_DATA names no real data")

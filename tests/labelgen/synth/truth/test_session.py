@@ -23,6 +23,8 @@ from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification, RoadMask, road_cuboids
 from tools.studies.check_truth import check_session
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["--size", "480x270", "--fps", "5", "--duration", "4", "--seed", "4"]
 NAME = "session0_center"
 

@@ -13,6 +13,8 @@ from labelgen.shards import ShardDataset
 from labelgen.synth.truth.session import write_session
 from labelgen.synth.truth.shards import EXACT_LABEL_LIMITS, main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.slow
 def test_labels_decode_to_the_true_boxes(tmp_path: Path) -> None:

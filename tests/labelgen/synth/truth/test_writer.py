@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools import mask as coco
 
 from labelgen.synth.truth.writer import encode_mask
+
+pytestmark = pytest.mark.slow
 
 
 @settings(max_examples=60, deadline=None)

@@ -14,6 +14,8 @@ from labelgen.synth.vehicle.mesh import Chart
 from labelgen.synth.vehicle.texture import Texture
 from labelgen.synth.vehicle.vehicle import VehicleModel, check_kinds, check_plates, make_vehicle, vehicle_size
 
+pytestmark = pytest.mark.slow
+
 
 @cache
 def vehicle_of(kind: str, seed: int) -> VehicleModel:
