@@ -61,6 +61,7 @@ class ShardLimits:
 
 
 _limits = ShardLimits()
+_WINDOWED = ("boxcars", "masks")
 # Deflate, shuffle, Fletcher-32, scale-offset, and h5py's LZF.
 _FILTERS = frozenset({1, 2, 3, 6, 32000})
 _TEXT_ATTRIBUTES = frozenset({"format", "producer", "pair", "size", "source", "settings", HASH_ATTRIBUTE})
@@ -287,12 +288,13 @@ def _read_text(dataset: h5py.Dataset, file_bytes: int) -> NDArray[Any]:
 # -- values -------------------------------------------------------------------------------------------------
 
 
-def check_values(arrays: Mapping[str, NDArray[Any]], image_bytes: int) -> list[str]:
+def check_values(arrays: Mapping[str, NDArray[Any]], image_bytes: int, settings: Mapping[str, Any]) -> list[str]:
     """Return what is wrong with the values of a shard's fields.
 
     Args:
         arrays: all fields but "images/bytes", of the schema's types and shapes.
         image_bytes: length of "images/bytes".
+        settings: of the shard; jobs of some kinds always state windows.
     """
     problems = []
     for name, total in (("images/offset", image_bytes), ("labels/offset", len(arrays["labels/cc"]))):
@@ -303,9 +305,11 @@ def check_values(arrays: Mapping[str, NDArray[Any]], image_bytes: int) -> list[s
         for what, good in _row_checks(arrays).items():
             if not good.all():
                 problems.append(f"{what} (first at row {int((~good).argmax())})")
-    missing = np.isnan(arrays["samples/time"])
-    if missing.any() and not missing.all():
-        problems.append(f"samples/time: some are missing (first at row {int(missing.argmax())})")
+    for name in ("samples/time", "samples/window"):
+        missing = np.isnan(arrays[name]).reshape(len(arrays[name]), -1).all(1)
+        needed = name == "samples/window" and settings.get("kind") in _WINDOWED
+        if missing.any() and (needed or not missing.all()):
+            problems.append(f"{name}: some are missing (first at row {int(missing.argmax())})")
     return problems
 
 
@@ -325,7 +329,7 @@ def _row_checks(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.bool
         "samples/split: unknown split": np.isin(arrays["samples/split"], [int(s) for s in Split]),
         "samples/matrix: expected finite, invertible matrices": _is_homography(matrix),
         "samples/vpu: expected finite numbers": np.isfinite(arrays["samples/vpu"]).all(1),
-        "samples/window: expected finite x0 < x1, y0 < y1": _is_box(window),
+        "samples/window: expected finite x0 < x1, y0 < y1": _is_box(window) | np.isnan(window).all(1),
         "samples/camera: no such camera": (camera >= 0) & (camera < len(scale)),
         "samples/frame: expected numbers from -1": arrays["samples/frame"] >= -1,
         "samples/time: expected finite seconds or NaN": np.isfinite(time) | np.isnan(time),

@@ -139,7 +139,7 @@ class ShardReader:
         file = self._open()
         with self._damage():
             tables = read_fields(file, [name for name in FIELDS if name != IMAGES], self._file_bytes())
-            problems = check_values(tables, len(file[IMAGES]))
+            problems = check_values(tables, len(file[IMAGES]), self.settings)
         if problems:
             raise DataError(f"{self.path}: damaged, {problems[0]}; make it again")
         return tables

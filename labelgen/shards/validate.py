@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from labelgen.choices import parse_size
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.box_codec import decode_boxes
+from labelgen.json_file import parse_json
 from labelgen.labels import Flag
 from labelgen.media.image_file import decode_image
 from labelgen.shards.dataset import find_shards
@@ -130,7 +131,7 @@ def validate_shard(path: str | Path) -> list[str]:
         return [f"cannot be read ({' '.join(str(err).split())})"]
     if content_hash(attributes, arrays) != attributes[HASH_ATTRIBUTE]:
         problems.append("its content is not what was written (hash differs)")
-    wrong = check_values(arrays, len(arrays[IMAGES]))
+    wrong = check_values(arrays, len(arrays[IMAGES]), parse_json(attributes["settings"]))
     problems += wrong
     if not wrong:
         problems += _check_boxes(arrays)
