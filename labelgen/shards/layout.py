@@ -61,7 +61,7 @@ class ShardLimits:
 
 
 _limits = ShardLimits()
-_WINDOWED = ("boxcars", "masks")
+_WINDOWED = ("masks",)
 # Deflate, shuffle, Fletcher-32, scale-offset, and h5py's LZF.
 _FILTERS = frozenset({1, 2, 3, 6, 32000})
 _TEXT_ATTRIBUTES = frozenset({"format", "producer", "pair", "size", "source", "settings", HASH_ATTRIBUTE})
@@ -306,7 +306,7 @@ def check_values(arrays: Mapping[str, NDArray[Any]], image_bytes: int, settings:
             if not good.all():
                 problems.append(f"{what} (first at row {int((~good).argmax())})")
     for name in ("samples/time", "samples/window"):
-        missing = np.isnan(arrays[name]).reshape(len(arrays[name]), -1).all(1)
+        missing = np.isnan(arrays[name]).all(axis=tuple(range(1, arrays[name].ndim)))
         needed = name == "samples/window" and settings.get("kind") in _WINDOWED
         if missing.any() and (needed or not missing.all()):
             problems.append(f"{name}: some are missing (first at row {int(missing.argmax())})")
