@@ -141,7 +141,7 @@ def test_list_of_results_with_coco_ids(tmp_path: Path) -> None:
     source = create_mask_source(write(tmp_path / "r.json", results))
     expected = [VehicleClass.CAR, VehicleClass.MOTORCYCLE, VehicleClass.BUS, VehicleClass.TRUCK]
     assert masks_of(source, 40).class_ids.tolist() == expected
-    assert source.problems == ["r.json: 1 annotation of other categories (id 1) left out"]
+    assert source.problems == ["r.json: 1 annotation of other categories (1 id 1) left out"]
 
 
 def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) ->
     source = create_mask_source(write(tmp_path / "m.json", data), score_threshold=0.5)
     assert masks_of(source, 0).scores.tolist() == pytest.approx([0.6])
     assert source.problems == [
-        "m.json: 4 annotations of other categories (person, id 3, id 4) left out",
+        "m.json: 4 annotations of other categories (2 person, 1 id 3, 1 id 4) left out",
         "m.json: 1 crowd region left out",
         "m.json: 1 annotation with a score below 0.5 left out",
     ]
@@ -175,7 +175,7 @@ BROKEN: list[tuple[Any, str]] = [
     (annotation(9, 1, [[1, 1, 9, "x", 3, 4]]), "no numbers"),
     (annotation(9, 1, [[1, 1, 1e12, 9, 3, 4]]), "far outside"),
     (annotation(9, 1, polygon(70, 5, 90, 20)), "outside the frame"),
-    (annotation(9, 1, {"size": [10, 10], "counts": [0, 100]}), "its RLE is for a frame of size"),
+    (annotation(9, 1, {"size": [10, 10], "counts": [0, 100]}), "made for frames of 10x10 px, but the frames are 64x48"),
     (annotation(9, 1, {"size": [48, 64], "counts": [10, 20]}), "covers 30 of 3072"),
     (annotation(9, 1, {"size": [48, 64], "counts": [3072]}), "empty"),
     (annotation(9, 1, {"size": [48, 64], "counts": [4000, -928]}), "no usable counts"),
