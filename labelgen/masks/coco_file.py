@@ -48,7 +48,7 @@ class ImageEntry:
     Args:
         name: file name with its folders, `/` between them; "" where there is none.
         frame: number of the frame that the entry states by a key of its own; None where it states none.
-        id_number: the id of an entry that has nothing but an id; None otherwise.
+        id_number: the id of an entry that has nothing but an id, where it is a number; None otherwise.
         size_wh: size that the entry announces, px; None where it announces none.
         video: name of the video that the entry states, or "".
     """
@@ -187,7 +187,8 @@ class CocoFile:
                 number = whole_number(keys[0])
                 for key in keys:
                     self._entry_of.setdefault(key, len(self.entries))
-                self.entries.append(ImageEntry(_file_name(keys[0])) if number is None else ImageEntry(id_number=number))
+                # An id of digits alone may be a file name without its suffix.
+                self.entries.append(ImageEntry(_file_name(keys[0]), id_number=number))
 
     def _read_annotations(self, annotations: list[Any], is_mapped: bool) -> dict[int, list[Annotation]]:
         vehicles: list[tuple[int, Annotation, bool]] = []

@@ -358,7 +358,7 @@ def _is_video_frame(entry: ImageEntry) -> bool:
 def _unnamed_by_index(entries: Sequence[ImageEntry], files: Sequence[str], claimed: set[int]) -> dict[int, int]:
     """Return the entries without a picture's name by frame: by the number that images are named by, or by position."""
     stems = [PurePosixPath(name).stem for name in files]
-    numbered = {k: e.id_number for k, e in enumerate(entries) if e.id_number is not None}
+    numbered = {k: e.id_number for k, e in enumerate(entries) if e.id_number is not None and k not in claimed}
     positions = {int(stem): at for at, stem in enumerate(stems) if stem.isascii() and stem.isdigit()}
     if len(positions) == len(files) and set(numbered.values()) <= set(positions):
         frames = {positions[number]: k for k, number in numbered.items()}
