@@ -20,7 +20,17 @@ from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rule
 from labelgen.geometry.homography import Array
-from labelgen.masks import MaskKind, MaskSource, create_mask_source, parse_masks, prime_masks
+from labelgen.masks import (
+    COCO_OPTIONS,
+    Clip,
+    CocoOptions,
+    MaskKind,
+    MaskSource,
+    check_masks,
+    create_mask_source,
+    parse_masks,
+    prime_masks,
+)
 from labelgen.masks.background.source import BackgroundMasks
 from labelgen.masks.gated import GatedMasks
 from labelgen.media.frames import Frame, FrameSource
@@ -47,6 +57,7 @@ class MaskSpeedSettings:
         score: least score of a mask.
         weights: state dict of Mask R-CNN instead of COCO's.
         device: torch device; None for the GPU when there is one.
+        coco: how a COCO file is to be read.
 
     Raises:
         LabelgenError: the variant does not go with these masks.
@@ -61,6 +72,7 @@ class MaskSpeedSettings:
     score: float = 0.5
     weights: Path | None = None
     device: str | None = None
+    coco: CocoOptions = COCO_OPTIONS
 
     def __post_init__(self) -> None:
         kind, _ = parse_masks(self.masks)
@@ -149,7 +161,10 @@ def job_from_masks(scene: Scene, settings: MaskSpeedSettings, *, duration_s: flo
         road_mask=road.pixels,
         device=settings.device,
         frame_wh=frames.size_wh,
+        clip=Clip.of(frames),
+        coco=settings.coco,
     )
+    check_masks(masks)
     if settings.variant is Variant.SOCHOR:
         masks = GatedMasks(masks, BackgroundMasks(road_mask=road.pixels))
     source = MaskDetections(masks, MaskPlacer(view, road, settings.pair, settings.rule))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -55,20 +56,26 @@ class Originals:
         videos: dict[Path, dict[int, list[int]]] = {}
         for index in images:
             place, sample = self.place(index), self._data[index]
-            if "path" in place:
+            if place.get("path"):
                 videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(index)
-            elif "images" in place:
+            elif place.get("images") and not _leads_out(sample.source):
                 try:
                     images[index] = read_image(Path(place["images"]) / sample.source)
                 except DataError:
                     continue  # the file was moved: the label is shown without its original
         for path, wanted in videos.items():
-            if not path.exists():
+            if not path.is_file() and not path.is_dir():  # moved away, or a pipe that would be waited for
                 continue
             last = max(wanted)
-            for frame in open_frames(path).frames(wanted.__contains__):
-                for index in wanted[frame.number]:
-                    images[index] = frame.image
-                if frame.number >= last:
-                    break
+            with contextlib.suppress(DataError):  # damaged meanwhile
+                for frame in open_frames(path).frames(wanted.__contains__):
+                    for index in wanted[frame.number]:
+                        images[index] = frame.image
+                    if frame.number >= last:
+                        break
         return images
+
+
+def _leads_out(name: str) -> bool:
+    path = Path(name)
+    return path.is_absolute() or ".." in path.parts

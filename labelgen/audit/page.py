@@ -20,7 +20,7 @@ from labelgen.choices import Rule
 from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import Sample
-from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
+from labelgen.masks import Clip, CocoOptions, InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
 from labelgen.media.frames import FrameSource
 from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardDataset, summarise
@@ -119,14 +119,17 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
     """
     sample = data[0]
     frames = open_frames(Path(source["path"]))
+    coco = data.readers[0].settings.get("coco")
     mask_source = create_mask_source(
         source["masks"],
         weights=source.get("weights"),
-        score_threshold=float(data.readers[0].settings.get("score", 0.5)),
+        score_threshold=float(_setting(data, "score", 0.5)),
         road_mask=read_mask(Path(source["road_mask"]), image_wh=frames.size_wh),
         frame_wh=frames.size_wh,
+        clip=Clip.of(frames),
+        coco=CocoOptions.from_dict(coco),
     )
-    rule = Rule.parse(str(data.readers[0].settings.get("rule", Rule.WIDER)))
+    rule = Rule.parse(str(_setting(data, "rule", Rule.WIDER)))
     masks = _masks_of(original, sample.frame, frames, mask_source)
     for i in sorted(range(len(masks)), key=lambda i: -int(masks.crops[i].sum())):
         x, y = (int(v) for v in masks.origins[i])
@@ -134,6 +137,11 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
         if figure is not None:
             return figure
     raise DataError("no mask of the first labelled frame gives a label")
+
+
+def _setting(data: ShardDataset[Sample], name: str, default: Any) -> Any:
+    value = data.readers[0].settings.get(name)
+    return default if value is None else value
 
 
 def _masks_of(image: NDArray[np.uint8], number: int, frames: FrameSource, source: MaskSource) -> InstanceMasks:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from labelgen.labels import Sample
+from labelgen.printable import printable
 from labelgen.shards import ShardDataset, summarise
 
 __all__ = ["draw_statistics"]
@@ -42,7 +43,12 @@ def draw_statistics(data: ShardDataset[Sample], path: Path) -> Path:
         axes[4].hist(apart, bins=50, range=(0, max(0.3, float(np.percentile(apart, 99)))), color="#3b78c2")
     axes[4].set(title="distance of the two candidates" if apart.size else "no mask labels", xlabel="|c_c difference|")
     reasons = summarise(data.readers).reasons.most_common(12)
-    axes[5].barh([reason for reason, _ in reasons][::-1], [count for _, count in reasons][::-1], color="#8a8a8a")
+    # A dollar sign would begin a formula.
+    axes[5].barh(
+        [printable(reason).replace("$", r"\$") for reason, _ in reasons][::-1],
+        [count for _, count in reasons][::-1],
+        color="#8a8a8a",
+    )
     axes[5].set(title="rejects by reason" if reasons else "no rejects", xlabel="inputs")
     figure.savefig(path, dpi=110)
     return path

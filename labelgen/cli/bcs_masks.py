@@ -10,15 +10,19 @@ import typer
 from labelgen.choices import Pair, Region, Rule
 from labelgen.cli.options import (
     CalibrationOption,
+    ClassesOption,
+    FirstFrameOption,
     JsonOption,
     OverwriteOption,
     PairOption,
     QualityOption,
     RoadMaskOption,
     RuleOption,
+    ScaleMasksOption,
     SceneSizeOption,
     WorkersOption,
     check_report_path,
+    coco_options,
     rectified_size,
     show_summary,
 )
@@ -42,6 +46,9 @@ def bcs_masks(
     weights: Annotated[
         Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
     ] = None,
+    first_frame: FirstFrameOption = None,
+    scale_masks: ScaleMasksOption = False,
+    classes: ClassesOption = None,
     rule: RuleOption = Rule.WIDER,
     every: Annotated[
         int | None,
@@ -91,7 +98,10 @@ def bcs_masks(
     check_report_path(json_file)
     manifest = load_manifest("brnocompspeed")
     size_wh = rectified_size(size, pair, manifest)
-    settings = MaskSettings(masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device)
+    coco = coco_options(first_frame, scale_masks, classes)
+    settings = MaskSettings(
+        masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device, coco=coco
+    )
     # What is wrong with any input is found out before the first one is calibrated.
     scenes = [find_scene(path, calibration=calibration, road_mask=road_mask, may_lack=True) for path in inputs]
     if out is None:

@@ -15,12 +15,15 @@ from labelgen.choices import Pair, Rule, parse_size
 from labelgen.errors import OutputError
 
 if TYPE_CHECKING:
+    from labelgen.masks.coco_options import CocoOptions
     from labelgen.shards.index import DatasetSummary
 
 __all__ = [
     "CalibrationOption",
+    "ClassesOption",
     "ContactPoint",
     "Cover",
+    "FirstFrameOption",
     "Heading",
     "JsonOption",
     "OverwriteOption",
@@ -28,10 +31,12 @@ __all__ = [
     "QualityOption",
     "RoadMaskOption",
     "RuleOption",
+    "ScaleMasksOption",
     "SceneSizeOption",
     "WorkersOption",
     "check_new_file",
     "check_report_path",
+    "coco_options",
     "picture_suffix",
     "print_table",
     "rectified_size",
@@ -89,6 +94,21 @@ SceneSizeOption = Annotated[
     str | None,
     typer.Option("--size", metavar="WxH", help="Rectified size; 640x360 by default, 360x640 for VP1-VP2."),
 ]
+FirstFrameOption = Annotated[
+    int | None,
+    typer.Option(
+        "--first-frame", min=0, metavar="N", help="Number of the first frame in a COCO file; 0, or as its numbers show."
+    ),
+]
+ScaleMasksOption = Annotated[
+    bool, typer.Option("--scale-masks", help="Scale a COCO file's masks of another frame size and the same ratio.")
+]
+ClassesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--classes", metavar="ID=CLASS,...", help="What a COCO file's categories are, by name or id: 2=car,pickup=car."
+    ),
+]
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace what the output already holds. Without it, nothing is replaced.")
 ]
@@ -141,6 +161,13 @@ def picture_suffix(option: str, path: Path) -> str:
 def rectified_size(size: str | None, pair: Pair, manifest: dict[str, Any]) -> tuple[int, int]:
     """Return the size (width, height) px that was asked for, or the data set's for the pair."""
     return parse_size(size or manifest["sizes"][str(pair)])
+
+
+def coco_options(first_frame: int | None, scale_masks: bool, classes: str | None) -> CocoOptions:
+    """Return how a COCO file is to be read."""
+    from labelgen.masks.coco_options import CocoOptions, parse_classes
+
+    return CocoOptions(first_frame, scale_masks, None if classes is None else parse_classes(classes))
 
 
 def write_json_report(path: Path | None, data: Any) -> None:

@@ -13,13 +13,17 @@ from detector.speed.variant import Variant
 from labelgen.choices import Pair, Rule
 from labelgen.cli.options import (
     CalibrationOption,
+    ClassesOption,
     ContactPoint,
+    FirstFrameOption,
     JsonOption,
     OverwriteOption,
     RoadMaskOption,
     RuleOption,
+    ScaleMasksOption,
     SceneSizeOption,
     check_report_path,
+    coco_options,
     print_table,
     rectified_size,
     write_json_report,
@@ -32,6 +36,7 @@ if TYPE_CHECKING:
     from detector.speed.pipeline import SpeedSummary
     from detector.speed.results import ResultFiles
     from labelgen.datasets.scene import Scene
+    from labelgen.masks.coco_options import CocoOptions
 
 __all__ = ["speed"]
 
@@ -81,6 +86,9 @@ def speed(
     weights: Annotated[
         Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
     ] = None,
+    first_frame: FirstFrameOption = None,
+    scale_masks: ScaleMasksOption = False,
+    classes: ClassesOption = None,
     device: Annotated[
         str | None, typer.Option("--device", help="Torch device; the GPU when there is one, by default.")
     ] = None,
@@ -119,7 +127,7 @@ def speed(
     if kind == "masks" and argument:
         job = _mask_job(
             inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
-            weights, device,
+            weights, device, coco_options(first_frame, scale_masks, classes),
         )  # fmt: skip
     elif kind == "model" and argument:
         job = _model_job(inputs, Path(argument), variant, pair, size, score, device)
@@ -186,14 +194,14 @@ def _input_name(path: Path) -> str:
 
 def _mask_job(
     inputs: _Inputs, masks: str, variant: Variant, pair: Pair, size: str | None, rule: Rule, near_end: ContactPoint,
-    score: float, weights: Path | None, device: str | None,
+    score: float, weights: Path | None, device: str | None, coco: CocoOptions,
 ) -> SpeedJob:  # fmt: skip
     from detector.speed.job import MaskSpeedSettings, job_from_masks
     from labelgen.datasets.manifest import load_manifest
 
     settings = MaskSpeedSettings(
         masks, variant, pair, rectified_size(size, pair, load_manifest("brnocompspeed")), rule,
-        near_end is ContactPoint.VEHICLE, score, weights, device,
+        near_end is ContactPoint.VEHICLE, score, weights, device, coco,
     )  # fmt: skip
     return job_from_masks(inputs.open(), settings, duration_s=inputs.duration_s)
 

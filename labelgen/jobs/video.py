@@ -15,12 +15,24 @@ import numpy as np
 
 from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.scene import Scene, SceneFiles
-from labelgen.errors import LabelgenError
+from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.rectification import Rectification
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.labels import Sample
-from labelgen.masks import InstanceMasks, MaskSource, create_mask_source, masked_frames, parse_masks, prime_masks
+from labelgen.masks import (
+    COCO_OPTIONS,
+    Clip,
+    CocoOptions,
+    InstanceMasks,
+    MaskKind,
+    MaskSource,
+    check_masks,
+    create_mask_source,
+    masked_frames,
+    parse_masks,
+    prime_masks,
+)
 from labelgen.media.frames import Frame
 from labelgen.media.image_folder import ImageFolder
 from labelgen.shards import Reject, ShardReader, ShardWriter
@@ -41,6 +53,7 @@ class MaskSettings:
         rule: how the two candidates become one c_c.
         limits: thresholds for labels.
         device: torch device; None for the GPU where there is one.
+        coco: how a COCO file is to be read.
     """
 
     masks: str = "maskrcnn"
@@ -49,9 +62,15 @@ class MaskSettings:
     rule: Rule = Rule.WIDER
     limits: LabelLimits = LABEL_LIMITS
     device: str | None = None
+    coco: CocoOptions = COCO_OPTIONS
 
     def __post_init__(self) -> None:
         parse_masks(self.masks)
+
+    @property
+    def is_made_before(self) -> bool:
+        """Whether the masks come from a file."""
+        return parse_masks(self.masks)[0] is MaskKind.COCO
 
     def describe(self) -> dict[str, Any]:
         """Return the settings as entries of the shards' settings."""
@@ -63,6 +82,7 @@ class MaskSettings:
             "score": self.score,
             "rule": str(self.rule),
             "min_height_px": self.limits.min_height_px,
+            **({"coco": described} if (described := self.coco.describe()) else {}),
         }
 
 
@@ -105,6 +125,7 @@ def video_job(
     codec = codec or ImageCodec()
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     units: list[VideoUnit] = []
+    reasons: list[DataError] = []
     inputs = {}
     for number, files in enumerate(_with_distinct_names(scenes)):
         prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{files.name}"
@@ -112,11 +133,15 @@ def video_job(
         size = _taken(scene.frames.frame_count, every, limit)
         unit = VideoUnit(files, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix, size)
         unit.rectification(scene)
-        if number == 0:
-            unit.mask_source(scene)  # the same for all
+        # Masks made before are looked up for each video; other sources are the same for all.
+        if number == 0 or settings.is_made_before:
+            problem = _no_masks(unit.mask_source(scene))
+            reasons += [problem] if problem else []
         units.append(unit)
         used = (scene.frames.path, files.calibration_path, files.mask_path)
         inputs[f"{number}: {files.name}"] = [_fingerprint(path) for path in used]
+    if reasons and len(reasons) == len(units):
+        raise reasons[0]
     originals = {unit.files.name: unit.whereabouts() for unit in units}
     job_settings = {
         "pair": str(pair),
@@ -126,6 +151,15 @@ def video_job(
         **common,
     }
     return Job("bcs-masks", job_settings, inputs, units, originals)
+
+
+def _no_masks(source: MaskSource) -> DataError | None:
+    """Return why ready-made masks have none for a video; None where they have one."""
+    try:
+        check_masks(source)
+    except DataError as err:
+        return err
+    return None
 
 
 def _rate_problem(scene: Scene) -> list[str]:
@@ -237,6 +271,8 @@ class VideoUnit:
             road_mask=scene.road.pixels,
             device=self.masks.device,
             frame_wh=scene.frames.size_wh,
+            clip=Clip.of(scene.frames, every=self.every),
+            coco=self.masks.coco,
         )
 
     def _path(self, out: Path, part: int) -> Path:
@@ -283,7 +319,14 @@ class VideoUnit:
                 if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
                     break
             writer.last = True
-            for problem in [*_rate_problem(scene), *frames.problems, *source.problems]:
+            lost = _no_masks(source)
+            for problem in [
+                *_rate_problem(scene),
+                *scene.notes,
+                *frames.problems,
+                *source.problems,
+                *([str(lost)] if lost else []),
+            ]:
                 writer.reject(Reject(self.files.name, -1, -1, "input problem", problem))
 
     def _label(

@@ -14,75 +14,134 @@ import numpy as np
 from numpy.typing import NDArray
 from pycocotools import mask as rle_tools
 
+from labelgen.geometry.frame_size import scale_between
+from labelgen.masks.coco_file import whole_number
 from labelgen.masks.instances import Crop, crop_mask
 
-__all__ = ["check_segmentation", "decode_segmentation"]
+__all__ = ["SegmentationError", "check_segmentation", "decode_segmentation"]
 
 # Characters of a run length in COCO's text, 5 bits each: 40 bits count the pixels of any frame.
 _MAX_RUN_CHARACTERS = 8
+# Largest image that a mask may be scaled from: more than any camera's, and little memory.
+_MAX_PIXELS = 1 << 27
 _EMPTY = "its mask is empty or outside the frame"
 
 
-def check_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> None:
-    """Check a COCO segmentation without filling a mask.
+class SegmentationError(ValueError):
+    """A segmentation that gives no mask.
 
     Args:
-        segmentation: `segmentation` of a COCO annotation.
-        frame_wh: size of the frame, px.
+        message: what is wrong; it continues a sentence about the annotation.
+        kind: what is wrong, the same for all segmentations of a kind.
+        drawn_wh: size of the frames that it is of, px, where that is another size; otherwise None.
+    """
+
+    def __init__(self, message: str, kind: str = "", drawn_wh: tuple[int, int] | None = None) -> None:
+        super().__init__(message)
+        self.kind, self.drawn_wh = kind or message, drawn_wh
+
+
+def check_segmentation(
+    segmentation: Any, frame_wh: tuple[int, int], *, drawn_wh: tuple[int, int] | None = None, scale: bool = False
+) -> None:
+    """Check a COCO segmentation, without filling a mask where it is of the frame's size.
+
+    Args:
+        segmentation, frame_wh, drawn_wh, scale: see `decode_segmentation`.
 
     Raises:
-        ValueError: `decode_segmentation` would raise it.
+        SegmentationError: `decode_segmentation` would raise it.
     """
-    _read(segmentation, frame_wh)
+    own = _own_size(segmentation, frame_wh, drawn_wh)
+    if own != frame_wh and isinstance(segmentation, dict):
+        decode_segmentation(segmentation, frame_wh, drawn_wh=drawn_wh, scale=scale)
+    else:
+        _read(segmentation, frame_wh, own, scale)
 
 
-def decode_segmentation(segmentation: Any, frame_wh: tuple[int, int]) -> Crop:
+def decode_segmentation(
+    segmentation: Any, frame_wh: tuple[int, int], *, drawn_wh: tuple[int, int] | None = None, scale: bool = False
+) -> Crop:
     """Decode a COCO segmentation.
 
     Args:
         segmentation: `segmentation` of a COCO annotation.
         frame_wh: size of the frame, px.
+        drawn_wh: size of the image that polygons are of, px, where the file announces one; RLE states its own.
+        scale: whether a segmentation of an image of another size and the same ratio is scaled.
 
     Returns:
         Origin (x, y) of the crop in the frame, px, and the crop (h, w) bool.
 
     Raises:
-        ValueError: the segmentation is unusable; the message continues a sentence about the annotation.
+        SegmentationError: the segmentation is unusable; the message continues a sentence about the annotation.
     """
-    runs = _read(segmentation, frame_wh)
-    crop = _fill_columns(runs, frame_wh[1]) if isinstance(runs, np.ndarray) else _fill_polygon(*runs)
-    assert crop is not None  # `_read` has checked that the area is not 0
+    own = _own_size(segmentation, frame_wh, drawn_wh)
+    runs = _read(segmentation, frame_wh, own, scale)
+    if not isinstance(runs, np.ndarray):
+        crop = _fill_polygon(*runs)
+        assert crop is not None  # `_read` has checked that the area is not 0
+        return crop
+    crop = _fill_columns(runs, own[1])
+    assert crop is not None  # likewise
+    if own != frame_wh:
+        crop = _scale_crop(crop, own, frame_wh)
+        if crop is None:
+            raise SegmentationError(_EMPTY)
     return crop
 
 
-def _read(segmentation: Any, frame_wh: tuple[int, int]) -> NDArray[np.int64] | tuple[dict[str, Any], tuple[int, int]]:
+def _own_size(segmentation: Any, frame_wh: tuple[int, int], drawn_wh: tuple[int, int] | None) -> tuple[int, int]:
+    """Return the size of the image that a segmentation is of; the frame's where it states none."""
+    if not isinstance(segmentation, dict):
+        return drawn_wh or frame_wh
+    size = segmentation.get("size")
+    sides = [whole_number(value) for value in size] if isinstance(size, list | tuple) else []
+    if len(sides) != 2 or not all(side and side > 0 for side in sides):
+        raise SegmentationError(
+            f"its RLE is for a frame of size (height, width) {str(size)[:40]}, not {[frame_wh[1], frame_wh[0]]}",
+            "its RLE has no size",
+        )
+    return int(sides[1] or 0), int(sides[0] or 0)
+
+
+def _read(
+    segmentation: Any, frame_wh: tuple[int, int], own_wh: tuple[int, int], scale: bool
+) -> NDArray[np.int64] | tuple[dict[str, Any], tuple[int, int]]:
     """Return the ends of the runs of an RLE; for polygons, their RLE within their bounding box and its origin."""
-    if isinstance(segmentation, dict):
-        return _run_ends(segmentation, frame_wh)
-    if isinstance(segmentation, list) and segmentation:
-        return _polygons_to_rle(segmentation, frame_wh)
-    raise ValueError("it has no segmentation")
+    is_rle = isinstance(segmentation, dict)
+    if not is_rle and not (isinstance(segmentation, list) and segmentation):
+        raise SegmentationError("it has no segmentation")
+    if own_wh != frame_wh and not (scale and scale_between(own_wh, frame_wh) and np.prod(own_wh) <= _MAX_PIXELS):
+        what = "RLE is for a frame of" if is_rle else "polygons are drawn on a frame of"
+        raise SegmentationError(
+            f"its {what} size (height, width) {[own_wh[1], own_wh[0]]}, not {[frame_wh[1], frame_wh[0]]}",
+            drawn_wh=own_wh,
+        )
+    if is_rle:
+        return _run_ends(segmentation, own_wh)
+    factors = (frame_wh[0] / own_wh[0], frame_wh[1] / own_wh[1])
+    return _polygons_to_rle(segmentation, frame_wh, factors)
 
 
 def _run_ends(rle: dict[str, Any], frame_wh: tuple[int, int]) -> NDArray[np.int64]:
     """Return (R,) the pixel at which each run ends, counted down the columns; unset and set runs alternate."""
     w, h = frame_wh
-    size, counts = rle.get("size"), rle.get("counts")
-    if size != [h, w]:
-        raise ValueError(f"its RLE is for a frame of size (height, width) {str(size)[:40]}, not {[h, w]}")
+    counts = rle.get("counts")
     if isinstance(counts, str):
         lengths = _parse_counts(counts)
     elif isinstance(counts, list) and all(isinstance(c, int) and 0 <= c <= w * h for c in counts):
         lengths = np.array(counts, dtype=np.int64)
     else:
-        raise ValueError("its RLE has no usable counts")
+        raise SegmentationError("its RLE has no usable counts")
     if ((lengths < 0) | (lengths > w * h)).any():
-        raise ValueError("its RLE has no usable counts")
+        raise SegmentationError("its RLE has no usable counts")
     ends = np.cumsum(lengths)
     if ends.size == 0 or ends[-1] != w * h:
-        raise ValueError(f"its RLE covers {int(ends[-1]) if ends.size else 0} of {w * h} pixels")
+        covered = int(ends[-1]) if ends.size else 0
+        raise SegmentationError(f"its RLE covers {covered} of {w * h} pixels", "its RLE does not cover the frame")
     if not lengths[1::2].any():
-        raise ValueError(_EMPTY)
+        raise SegmentationError(_EMPTY)
     return ends
 
 
@@ -104,16 +163,16 @@ def _parse_counts(text: str) -> NDArray[np.int64]:
     """
     bits = np.frombuffer(text.encode("utf-8", "replace"), dtype=np.uint8).astype(np.int64) - 48
     if ((bits < 0) | (bits >= 64)).any():
-        raise ValueError("its RLE holds characters that are no run lengths")
+        raise SegmentationError("its RLE holds characters that are no run lengths")
     if bits.size == 0:
         return bits
     ends = np.flatnonzero(bits < 32)
     starts = np.concatenate([[0], ends + 1])
     sizes = np.diff(np.append(starts, bits.size))
     if sizes.max() > _MAX_RUN_CHARACTERS:
-        raise ValueError("its RLE holds a run length beyond any frame")
+        raise SegmentationError("its RLE holds a run length beyond any frame")
     if sizes[-1]:
-        raise ValueError("its RLE is cut off")
+        raise SegmentationError("its RLE is cut off")
     starts, sizes = starts[:-1], sizes[:-1]
     place = np.arange(bits.size) - np.repeat(starts, sizes)
     counts = np.add.reduceat((bits & 31) << (5 * place), starts)
@@ -124,26 +183,53 @@ def _parse_counts(text: str) -> NDArray[np.int64]:
     return counts
 
 
-def _polygons_to_rle(polygons: list[Any], frame_wh: tuple[int, int]) -> tuple[dict[str, Any], tuple[int, int]]:
-    farthest = 4 * max(frame_wh)
+def _polygons_to_rle(
+    polygons: list[Any], frame_wh: tuple[int, int], factors: tuple[float, float] = (1.0, 1.0)
+) -> tuple[dict[str, Any], tuple[int, int]]:
+    farthest = 4 * max(frame_wh) / min(factors)
     points = []
     for polygon in polygons:
         if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
-            raise ValueError("its polygon is not a list of at least three x, y pairs")
+            raise SegmentationError("its polygon is not a list of at least three x, y pairs")
         if not all(isinstance(v, int | float) and abs(v) <= farthest for v in polygon):
-            raise ValueError("its polygon has coordinates that are no numbers or far outside the frame")
-        points.append(np.array(polygon, dtype=np.float64).reshape(-1, 2))
+            raise SegmentationError("its polygon has coordinates that are no numbers or far outside the frame")
+        points.append(np.array(polygon, dtype=np.float64).reshape(-1, 2) * factors)
     low = np.clip(np.floor(np.min([p.min(axis=0) for p in points], axis=0)), 0, frame_wh).astype(int)
     high = np.clip(np.ceil(np.max([p.max(axis=0) for p in points], axis=0)), 0, frame_wh).astype(int)
     if (high <= low).any():
-        raise ValueError(_EMPTY)
+        raise SegmentationError(_EMPTY)
     size = high - low
     parts = rle_tools.frPyObjects([(p - low).ravel().tolist() for p in points], int(size[1]), int(size[0]))
     rle: dict[str, Any] = rle_tools.merge(parts)
     if not rle_tools.area(rle):
-        raise ValueError(_EMPTY)
+        raise SegmentationError(_EMPTY)
     return rle, (int(low[0]), int(low[1]))
 
 
 def _fill_polygon(rle: dict[str, Any], origin_px: tuple[int, int]) -> Crop | None:
     return crop_mask(rle_tools.decode(rle), origin_px)
+
+
+def _scale_crop(crop: Crop, own_wh: tuple[int, int], frame_wh: tuple[int, int]) -> Crop | None:
+    """Resample a crop to frames of another size: pixels are set that are covered to half."""
+    (x, y), mask = crop
+    fx, fy = frame_wh[0] / own_wh[0], frame_wh[1] / own_wh[1]
+    low = (int(x * fx), int(y * fy))
+    high = (
+        min(frame_wh[0], int(np.ceil((x + mask.shape[1]) * fx))),
+        min(frame_wh[1], int(np.ceil((y + mask.shape[0]) * fy))),
+    )
+    # The area of any rectangle follows from the cumulative sums at its corners.
+    sums = np.pad(mask, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1).astype(np.float64)
+    sums = _sample_rows(sums, np.arange(low[1], high[1] + 1) / fy - y)
+    sums = _sample_rows(sums.T, np.arange(low[0], high[0] + 1) / fx - x).T
+    covered = np.diff(np.diff(sums, axis=0), axis=1) * (fx * fy)
+    return crop_mask(covered >= 0.5 - 1e-9, low)
+
+
+def _sample_rows(values: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rows of an array at fractional positions, linear between two rows."""
+    at = np.clip(at, 0, len(values) - 1)
+    first = np.minimum(at.astype(np.int64), len(values) - 2)
+    share = (at - first)[:, None]
+    return np.asarray(values[first] * (1 - share) + values[first + 1] * share)

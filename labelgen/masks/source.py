@@ -11,11 +11,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import LabelgenError
+from labelgen.errors import DataError, LabelgenError
+from labelgen.masks.clip import Clip
+from labelgen.masks.coco_options import CocoOptions
 from labelgen.masks.instances import InstanceMasks
 from labelgen.media.frames import Frame, FrameSource
 
-__all__ = ["MaskKind", "MaskSource", "create_mask_source", "masked_frames", "parse_masks", "prime_masks"]
+__all__ = ["MaskKind", "MaskSource", "check_masks", "create_mask_source", "masked_frames", "parse_masks", "prime_masks"]
 
 # Frames apart from which a source is primed: neighbouring frames of traffic are too alike.
 _PRIME_STRIDE = 10
@@ -53,7 +55,7 @@ class MaskSource(Protocol):
         prime_frames: number of frames at the beginning of the video from which `prime` takes its frames; 0 for none.
         batch_size: best number of frames in one call of `masks`. It is 1 where `masks` must follow `observe` frame by
             frame.
-        problems: what has been skipped so far and why, one line each. A source may append to it in any call.
+        problems: what has been skipped so far and why, one line for each kind. A source may change it in any call.
     """
 
     @property
@@ -121,6 +123,8 @@ def create_mask_source(
     road_mask: NDArray[Any] | None = None,
     device: str | None = None,
     frame_wh: tuple[int, int] | None = None,
+    clip: Clip | None = None,
+    coco: CocoOptions | None = None,
 ) -> MaskSource:
     """Create a mask source by name.
 
@@ -131,9 +135,11 @@ def create_mask_source(
         road_mask: (H, W), not 0 on the road, on which vehicles must stand; used by background only.
         device: torch device such as "cuda:1", by default a GPU if there is one; used by maskrcnn only.
         frame_wh: size of the frames, px; coco checks all masks against it at once.
+        clip: the frames that the masks are asked for; coco tells by it which of its images are these.
+        coco: how the COCO file is to be read; coco only.
 
     Raises:
-        LabelgenError: unknown name, or weights for a source that takes none.
+        LabelgenError: unknown name, or weights or COCO options for a source that takes none.
         DataError: weights or masks that cannot be used.
     """
     kind, file = parse_masks(masks)
@@ -142,7 +148,12 @@ def create_mask_source(
     if file is not None:
         from labelgen.masks.coco import CocoMasks
 
-        return CocoMasks(file, score_threshold=score_threshold, frame_wh=frame_wh)
+        return CocoMasks(file, score_threshold=score_threshold, frame_wh=frame_wh, clip=clip, options=coco)
+    if coco is not None and (given := coco.describe()):
+        names = tuple(given)
+        raise LabelgenError(
+            f"{' and '.join(names)}: only masks coco:FILE takes that, not masks {masks}", parameter=names
+        )
     if kind is MaskKind.BACKGROUND:
         from labelgen.masks.background.source import BackgroundMasks
 
@@ -150,6 +161,17 @@ def create_mask_source(
     from labelgen.masks.maskrcnn import MaskRcnnMasks
 
     return MaskRcnnMasks(weights=weights, score_threshold=score_threshold, device=device)
+
+
+def check_masks(source: MaskSource) -> None:
+    """Refuse ready-made masks of which none belongs to the frames.
+
+    Raises:
+        DataError: says why.
+    """
+    reason: DataError | None = getattr(source, "no_masks", None)
+    if reason is not None:
+        raise reason
 
 
 def prime_masks(source: MaskSource, frames: FrameSource) -> None:

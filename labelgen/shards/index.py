@@ -30,6 +30,7 @@ __all__ = [
 
 INDEX_NAME = "dataset.json"
 REJECTS_NAME = "rejects.jsonl"
+_INDEX_FORMAT = f"{FORMAT}-index"
 
 
 @dataclass
@@ -130,7 +131,7 @@ def build_index(shards: Sequence[Path]) -> tuple[dict[str, Any], bytes]:
             )
     whole = hashlib.sha256("\n".join(str(entry[HASH_ATTRIBUTE]) for entry in entries).encode()).hexdigest()
     index = {
-        "format": f"{FORMAT}-index",
+        "format": _INDEX_FORMAT,
         "version": VERSION,
         "pair": pair,
         "size": size,
@@ -161,14 +162,62 @@ def read_index(folder: Path) -> dict[str, Any]:
         raise DataError(f"{folder}: no {INDEX_NAME}; the job was not finished, run the same command again") from None
     except (OSError, ValueError) as err:
         raise DataError(f"{path}: not readable ({err})") from None
-    entries = index.get("shards") if isinstance(index, dict) else None
-    good = isinstance(entries, list) and all(
-        isinstance(entry, dict)
-        and isinstance(entry.get("name"), str)
-        and Path(entry["name"]).name == entry["name"]
-        and isinstance(entry.get("original", {}), dict)
-        for entry in entries
-    )
-    if not good:
-        raise DataError(f"{path}: not an index of shards; make the data set again")
+    problem = _index_problem(index)
+    if problem:
+        raise DataError(f"{path}: not an index of shards ({problem}); make the data set again")
     return dict(index)
+
+
+_COUNTS = ("images", "labels", "rejects")
+_ORIGINALS = ("path", "images", "calibration", "road_mask", "masks", "weights")
+
+
+def _index_problem(index: Any) -> str:
+    """Return what is wrong with the types and values of a parsed index; "" where nothing is."""
+    if not isinstance(index, dict):
+        return "no JSON object"
+    entries = index.get("shards")
+    if not isinstance(entries, list):
+        return "no list of shards"
+    texts, objects = ("format", "pair", "size", "producer", HASH_ATTRIBUTE), ("job", "rejects_by_reason")
+    for key, kind in [*((key, str) for key in texts), *((key, dict) for key in objects)]:
+        if not isinstance(index.get(key, kind()), kind):
+            return f"its {key} is of another type"
+    if index.get("format", _INDEX_FORMAT) != _INDEX_FORMAT:
+        return f"its format is {index['format']}"
+    problem = _count_problem(index)
+    if problem:
+        return problem
+    names = set()
+    for number, entry in enumerate(entries):
+        problem = _entry_problem(entry)
+        if problem:
+            return f"shard number {number}: {problem}"
+        names.add(entry["name"])
+    return "" if len(names) == len(entries) else "a shard is named twice"
+
+
+def _entry_problem(entry: Any) -> str:
+    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+        return "no object with a name"
+    name = entry["name"]
+    if Path(name).name != name or not name.endswith(".h5") or "\0" in name or "\\" in name:
+        return "its name is not that of a file beside the index"
+    for key in ("source", HASH_ATTRIBUTE, "file_sha256"):
+        if not isinstance(entry.get(key, ""), str):
+            return f"its {key} is no text"
+    original = entry.get("original", {})
+    if not isinstance(original, dict) or not all(
+        original.get(key) is None or (isinstance(original[key], str) and "\0" not in original[key])
+        for key in _ORIGINALS
+    ):
+        return "its original is not an object of paths"
+    return _count_problem(entry)
+
+
+def _count_problem(values: Mapping[str, Any]) -> str:
+    for key in _COUNTS:
+        value = values.get(key, 0)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            return f"its number of {key} is no count"
+    return ""

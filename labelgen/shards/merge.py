@@ -12,6 +12,7 @@ from labelgen.shards.dataset import find_shards
 from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, summarise, write_index
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.schema import HASH_ATTRIBUTE
+from labelgen.shards.validate import validate_shards
 
 __all__ = ["merge_job", "merge_shards"]
 
@@ -34,10 +35,11 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
         Counts of the merged data set.
 
     Raises:
-        DataError: shards of different pairs or sizes, or damaged ones; nothing is written then.
+        DataError: shards of different pairs or sizes, or such as `validate_shards` refuses; nothing is written then.
         OutputError: the folder cannot be written.
     """
     shards = find_shards(paths)
+    _refuse_invalid(paths, shards)
     by_hash: dict[str, Path] = {}
     kinds: dict[tuple[str, str], Path] = {}
     for path in shards:
@@ -61,6 +63,17 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     if len(by_hash) < len(shards):
         summary.warnings.append(f"{len(shards) - len(by_hash)} shards were there twice and are taken once")
     return summary
+
+
+def _refuse_invalid(paths: Sequence[str | Path], shards: Sequence[Path]) -> None:
+    """Refuse what validation refuses, but for folders without an index."""
+    folders = {Path(path) for path in paths if (Path(path) / INDEX_NAME).is_file()}
+    problems = {where: found for where, found in validate_shards([*sorted(folders), *shards]).items() if found}
+    if problems:
+        where, found = next(iter(problems.items()))
+        first, others = found[0].removeprefix(f"{where}: "), sum(map(len, problems.values())) - 1
+        more = f", and {others} more problems" if others else ""
+        raise DataError(f"{where}: {first}{more}; nothing was merged, labelgen validate lists all problems")
 
 
 def _originals(folder: Path) -> dict[str, Any]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import json
 import os
 from collections.abc import Iterator
 from functools import cached_property
@@ -17,16 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.choices import Pair, parse_size
-from labelgen.errors import DataError, LabelgenError
+from labelgen.errors import DataError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Rectification
+from labelgen.json_file import parse_json
 from labelgen.labels import Labels, Sample, Split
+from labelgen.shards.layout import (
+    DAMAGE,
+    check_attributes,
+    check_fields,
+    check_values,
+    open_shard_file,
+    read_attributes,
+    read_fields,
+)
 from labelgen.shards.rejects import Reject, from_json_lines
-from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION
+from labelgen.shards.schema import FIELDS, IMAGES
 
 __all__ = ["ByteStrip", "ShardReader"]
 
-_DAMAGE = (LabelgenError, OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError, OverflowError)
 _STALE_AFTER_UNPICKLING = ("_tables", "_labels", "attributes")
 
 
@@ -73,15 +80,7 @@ class ShardReader:
     def _open(self) -> h5py.File:
         # A handle that came through fork() shares its file position with the parent: open our own.
         if self._file is None or self._pid != os.getpid():
-            try:
-                self._file = h5py.File(self.path, "r", locking=False)
-            except FileNotFoundError:
-                raise DataError(f"{self.path}: no such shard") from None
-            except OSError as err:
-                if err.errno == errno.EMFILE:
-                    raise DataError(f"{self.path}: too many open files; raise the limit (ulimit -n)") from None
-                reason = " ".join(str(err).split())
-                raise DataError(f"{self.path}: not a whole HDF5 file ({reason}); make it again") from None
+            self._file = open_shard_file(self.path)
             self._pid = os.getpid()
             self._images = None
         return self._file
@@ -93,25 +92,24 @@ class ShardReader:
         """Format, version, pair, size, source, part, settings and content hash."""
         file = self._open()
         with self._damage():
-            values = {k: value.item() if isinstance(value, np.generic) else value for k, value in file.attrs.items()}
-            missing = [key for key in (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE) if key not in values]
-            missing += [name for name in FIELDS if name not in file]
-        if values.get("format") != FORMAT:
-            raise DataError(f"{self.path}: not a labelgen shard")
-        if values.get("version") != VERSION:
-            raise DataError(
-                f"{self.path}: shard format {values.get('version')}, this labelgen reads {VERSION}; use the other one"
-            )
-        if missing:
-            raise DataError(f"{self.path}: damaged, it lacks {', '.join(missing)}; make it again")
+            values = read_attributes(file)
+        problems = check_attributes(values)
+        if problems:
+            raise DataError(f"{self.path}: {problems[0]}")
+        problems = check_fields(file, self._file_bytes())
+        if problems:
+            raise DataError(f"{self.path}: damaged, {problems[0]}; make it again")
         return values
+
+    def _file_bytes(self) -> int:
+        return self.path.stat().st_size
 
     @contextlib.contextmanager
     def _damage(self) -> Iterator[None]:
         """Turn what HDF5 and the parsers raise on damaged content into a DataError that names the file."""
         try:
             yield
-        except _DAMAGE as err:
+        except DAMAGE as err:
             reason = " ".join(str(err).split()) or type(err).__name__
             raise DataError(f"{self.path}: damaged ({reason}); make it again") from None
 
@@ -133,17 +131,17 @@ class ShardReader:
     def settings(self) -> dict[str, Any]:
         """What decides the labels, as plain values."""
         with self._damage():
-            return dict(json.loads(self.attributes["settings"]))
+            return dict(parse_json(self.attributes["settings"]))
 
     @cached_property
     def _tables(self) -> dict[str, NDArray[Any]]:
         assert self.attributes is not None  # checks the format before anything is read
         file = self._open()
-        tables: dict[str, NDArray[Any]] = {}
         with self._damage():
-            for name, spec in FIELDS.items():
-                if name != "images/bytes":
-                    tables[name] = file[name].asstr()[()] if spec.dtype == TEXT else file[name][()]
+            tables = read_fields(file, [name for name in FIELDS if name != IMAGES], self._file_bytes())
+            problems = check_values(tables, len(file[IMAGES]), self.settings)
+        if problems:
+            raise DataError(f"{self.path}: damaged, {problems[0]}; make it again")
         return tables
 
     def table(self, name: str) -> NDArray[Any]:
@@ -170,10 +168,11 @@ class ShardReader:
         rows = zip(
             *(self.table(f"cameras/{key}") for key in ("vp1", "vp2", "pp", "scale", "size", "name")), strict=True
         )
-        return [
-            Camera(vp1, vp2, pp, None if np.isnan(scale) else float(scale), _size(size), str(name))
-            for vp1, vp2, pp, scale, size, name in rows
-        ]
+        with self._damage():
+            return [
+                Camera(vp1, vp2, pp, None if np.isnan(scale) else float(scale), _size(size), str(name))
+                for vp1, vp2, pp, scale, size, name in rows
+            ]
 
     def camera(self, index: int) -> Camera:
         """Return the camera of one sample."""
@@ -202,19 +201,15 @@ class ShardReader:
         with self._damage():
             if self._images is None:
                 # HDF5 takes as long to look a data set up as to read an image from it.
-                self._images = ByteStrip(file["images/bytes"])
+                self._images = ByteStrip(file[IMAGES])
             return self._images.read(start, stop)
 
     def rectification(self, index: int) -> Rectification:
         """Return the rectification of one sample, from the original frame."""
         camera = self.camera(index)
-        return Rectification(
-            self.pair,
-            self.size_wh,
-            self.table("samples/matrix")[index],
-            self.table("samples/vpu")[index],
-            camera.image_wh,
-        )
+        matrix, vpu = self.table("samples/matrix")[index], self.table("samples/vpu")[index]
+        with self._damage():
+            return Rectification(self.pair, self.size_wh, matrix, vpu, camera.image_wh)
 
     def __getitem__(self, index: int) -> Sample:
         if not -len(self) <= index < len(self):

@@ -6,6 +6,8 @@ import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
+from labelgen.json_file import parse_json
+
 __all__ = ["Reject", "from_json_lines", "to_json_lines"]
 
 
@@ -34,5 +36,17 @@ def to_json_lines(rejects: Iterable[Reject]) -> bytes:
 
 
 def from_json_lines(data: bytes) -> list[Reject]:
-    """Parse the bytes of `to_json_lines`."""
-    return [Reject(**json.loads(line)) for line in data.splitlines()]
+    """Parse the bytes of `to_json_lines`.
+
+    Raises:
+        ValueError: a line is not a JSON object with the fields of `Reject`, of their types.
+    """
+    return [_parse(number, line) for number, line in enumerate(data.splitlines(), 1)]
+
+
+def _parse(number: int, line: bytes) -> Reject:
+    value = parse_json(line)
+    types = {"source": str, "frame": int, "item": int, "reason": str, "detail": str}
+    if not isinstance(value, dict) or {key: type(part) for key, part in value.items()} != types:
+        raise ValueError(f"rejects: line {number} is not a reject with {', '.join(types)}")
+    return Reject(**value)

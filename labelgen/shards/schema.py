@@ -30,13 +30,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FIELDS", "FORMAT", "HASH_ATTRIBUTE", "REQUIRED_ATTRIBUTES", "TEXT", "VERSION", "FieldSpec", "content_hash"]
+__all__ = [
+    "FIELDS",
+    "FORMAT",
+    "HASH_ATTRIBUTE",
+    "IMAGES",
+    "REQUIRED_ATTRIBUTES",
+    "TEXT",
+    "VERSION",
+    "FieldSpec",
+    "content_hash",
+]
 
 FORMAT = "labelgen-shard"
 VERSION = 1
 HASH_ATTRIBUTE = "content_sha256"
 REQUIRED_ATTRIBUTES = ("format", "version", "producer", "pair", "size", "source", "part", "last", "settings")
 TEXT = "text"
+IMAGES = "images/bytes"
 
 
 @dataclass(frozen=True)

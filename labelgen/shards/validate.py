@@ -6,22 +6,30 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.choices import parse_size
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry.box_codec import decode_boxes
-from labelgen.labels import Flag, Split, VehicleClass
+from labelgen.json_file import parse_json
+from labelgen.labels import Flag
+from labelgen.media.image_file import decode_image
 from labelgen.shards.dataset import find_shards
 from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, build_index, file_hash, read_index
+from labelgen.shards.layout import (
+    DAMAGE,
+    check_attributes,
+    check_fields,
+    check_values,
+    open_shard_file,
+    read_attributes,
+    read_fields,
+)
 from labelgen.shards.reader import ShardReader
-from labelgen.shards.schema import FIELDS, HASH_ATTRIBUTE, TEXT, content_hash
+from labelgen.shards.schema import FIELDS, HASH_ATTRIBUTE, IMAGES, content_hash
 
 __all__ = ["content_is_intact", "validate_folder", "validate_shard", "validate_shards"]
-
-_UNREADABLE = (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError, OverflowError)
 
 
 def validate_shards(paths: Sequence[str | Path]) -> dict[Path, list[str]]:
@@ -100,89 +108,64 @@ def content_is_intact(path: Path) -> bool:
     try:
         with ShardReader(path) as reader:
             attributes = reader.attributes
-        return bool(content_hash(attributes, _read_all(path)) == attributes[HASH_ATTRIBUTE])
-    except (LabelgenError, *_UNREADABLE):
+            arrays = _read_all(reader)
+        return bool(content_hash(attributes, arrays) == attributes[HASH_ATTRIBUTE])
+    except DAMAGE:
         return False
 
 
 def validate_shard(path: str | Path) -> list[str]:
-    """Return the problems of one shard: fields, types, offsets, values, images, content hash."""
-    with ShardReader(path) as reader:
-        try:
-            attributes = reader.attributes
-            reader.pair, reader.size_wh, reader.settings  # noqa: B018  parsed for their errors
-        except (LabelgenError, *_UNREADABLE) as err:
-            return [str(err)]
-        try:
-            arrays = _read_all(Path(path))
-        except _UNREADABLE as err:
-            return [f"cannot be read ({' '.join(str(err).split())})"]
-        problems = _check_layout(arrays)
-        if not problems:
-            if content_hash(attributes, arrays) != attributes[HASH_ATTRIBUTE]:
-                problems.append("its content is not what was written (hash differs)")
-            problems += _check_values(arrays)
-            problems += _check_images(arrays, reader.size_wh)
-            try:
-                reader.cameras, reader.rejects  # noqa: B018
-            except (LabelgenError, *_UNREADABLE) as err:
-                problems.append(str(err))
-        return problems
-
-
-def _read_all(path: Path) -> dict[str, NDArray[Any]]:
-    with h5py.File(path, "r", locking=False) as file:
-        return {name: file[name].asstr()[()] if spec.dtype == TEXT else file[name][()] for name, spec in FIELDS.items()}
-
-
-def _check_layout(arrays: dict[str, NDArray[Any]]) -> list[str]:
-    rows = {
-        "N": len(arrays["samples/frame"]),
-        "N+1": len(arrays["samples/frame"]) + 1,
-        "L": len(arrays["labels/cc"]),
-        "C": len(arrays["cameras/scale"]),
-    }
-    problems = []
-    for name, spec in FIELDS.items():
-        array = arrays[name]
-        if spec.dtype != TEXT and array.dtype != np.dtype(spec.dtype):
-            problems.append(f"{name}: expected type {spec.dtype}, got {array.dtype}")
-        expected = (rows.get(spec.rows, len(array)), *spec.shape)
-        if array.shape != expected:
-            problems.append(f"{name}: expected shape {expected}, got {array.shape}")
-    for name, total in (("images/offset", len(arrays["images/bytes"])), ("labels/offset", rows["L"])):
-        offsets = arrays[name]
-        if len(offsets) == 0 or offsets[0] != 0 or offsets[-1] != total or (np.diff(offsets) < 0).any():
-            problems.append(f"{name}: expected to rise from 0 to {total}")
+    """Return the problems of one shard: attributes, fields, types, offsets, values, images, content hash."""
+    path = Path(path)
+    try:
+        file_bytes = path.stat().st_size if path.exists() else 0
+        with open_shard_file(path) as file:
+            attributes = read_attributes(file)
+            problems = check_attributes(attributes) or check_fields(file, file_bytes)
+            if problems:
+                return problems
+            arrays = read_fields(file, FIELDS, file_bytes)
+    except DataError as err:
+        return [str(err)]
+    except DAMAGE as err:
+        return [f"cannot be read ({' '.join(str(err).split())})"]
+    if content_hash(attributes, arrays) != attributes[HASH_ATTRIBUTE]:
+        problems.append("its content is not what was written (hash differs)")
+    wrong = check_values(arrays, len(arrays[IMAGES]), parse_json(attributes["settings"]))
+    problems += wrong
+    if not wrong:
+        problems += _check_boxes(arrays)
+        problems += _check_images(arrays, parse_size(attributes["size"]))
+        with ShardReader(path) as reader:
+            for read in (lambda: reader.cameras, lambda: reader.rejects):
+                try:
+                    read()
+                except DataError as err:
+                    problems.append(str(err))
     return problems
 
 
-def _check_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
-    box, cc, camera = arrays["labels/box"], arrays["labels/cc"], arrays["samples/camera"]
-    checks = {
-        "labels/box: expected finite x0 < x1, y0 < y1": np.isfinite(box).all(1) & (box[:, :2] < box[:, 2:]).all(1),
-        "labels/cc: expected values in [0, 1]": (cc >= 0) & (cc <= 1),
-        "labels/class: unknown class": np.isin(arrays["labels/class"], [int(c) for c in VehicleClass]),
-        "samples/split: unknown split": np.isin(arrays["samples/split"], [int(s) for s in Split]),
-        "samples/matrix: expected finite numbers": np.isfinite(arrays["samples/matrix"]).all((1, 2)),
-        "samples/vpu: expected finite numbers": np.isfinite(arrays["samples/vpu"]).all(1),
-        "samples/camera: no such camera": (camera >= 0) & (camera < len(arrays["cameras/scale"])),
-    }
-    problems = [f"{what} (first at row {int((~good).argmax())})" for what, good in checks.items() if not good.all()]
-    if not problems:
-        vpu = np.repeat(arrays["samples/vpu"], np.diff(arrays["labels/offset"]), axis=0)
-        _, valid = decode_boxes(box, cc, vpu)
-        valid |= (arrays["labels/flags"] & Flag.FLAT.value) > 0
-        if not valid.all():
-            problems.append(f"labels: {int((~valid).sum())} have no 3D box (first at row {int((~valid).argmax())})")
-    return problems
+def _read_all(reader: ShardReader) -> dict[str, NDArray[Any]]:
+    with open_shard_file(reader.path) as file:
+        return read_fields(file, FIELDS, reader.path.stat().st_size)
+
+
+def _check_boxes(arrays: dict[str, NDArray[Any]]) -> list[str]:
+    """Check that every label of a rectified image has a 3D box."""
+    vpu = np.repeat(arrays["samples/vpu"], np.diff(arrays["labels/offset"]), axis=0)
+    with np.errstate(all="ignore"):
+        _, valid = decode_boxes(arrays["labels/box"], arrays["labels/cc"], vpu)
+    valid |= (arrays["labels/flags"] & Flag.FLAT.value) > 0
+    if valid.all():
+        return []
+    return [f"labels: {int((~valid).sum())} have no 3D box (first at row {int((~valid).argmax())})"]
 
 
 def _check_images(arrays: dict[str, NDArray[Any]], size_wh: tuple[int, int]) -> list[str]:
     offsets = arrays["images/offset"]
     for i in range(len(offsets) - 1):
-        data = arrays["images/bytes"][offsets[i] : offsets[i + 1]]
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-        if image is None or image.shape[1::-1] != size_wh:
+        try:
+            decode_image(arrays[IMAGES][offsets[i] : offsets[i + 1]], "image", expected_wh=size_wh)
+        except DataError:
             return [f"images: number {i} is not an image of {size_wh[0]}x{size_wh[1]} px"]
     return []

@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pycocotools import mask as coco
 
-from labelgen.errors import DataError
+from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import VehicleClass
-from labelgen.masks import InstanceMasks, create_mask_source
+from labelgen.masks import Clip, CocoOptions, InstanceMasks, check_masks, create_mask_source
+from labelgen.masks.coco_options import parse_classes
 from labelgen.masks.coco_segmentation import check_segmentation, decode_segmentation
 
 WH = (64, 48)
@@ -141,7 +142,7 @@ def test_list_of_results_with_coco_ids(tmp_path: Path) -> None:
     source = create_mask_source(write(tmp_path / "r.json", results))
     expected = [VehicleClass.CAR, VehicleClass.MOTORCYCLE, VehicleClass.BUS, VehicleClass.TRUCK]
     assert masks_of(source, 40).class_ids.tolist() == expected
-    assert source.problems == ["r.json: 1 annotation of other categories (id 1) left out"]
+    assert source.problems == ["r.json: 1 annotation of other categories (1 id 1) left out"]
 
 
 def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) -> None:
@@ -162,7 +163,7 @@ def test_other_categories_are_counted_and_low_scores_left_out(tmp_path: Path) ->
     source = create_mask_source(write(tmp_path / "m.json", data), score_threshold=0.5)
     assert masks_of(source, 0).scores.tolist() == pytest.approx([0.6])
     assert source.problems == [
-        "m.json: 4 annotations of other categories (person, id 3, id 4) left out",
+        "m.json: 4 annotations of other categories (2 person, 1 id 3, 1 id 4) left out",
         "m.json: 1 crowd region left out",
         "m.json: 1 annotation with a score below 0.5 left out",
     ]
@@ -175,7 +176,7 @@ BROKEN: list[tuple[Any, str]] = [
     (annotation(9, 1, [[1, 1, 9, "x", 3, 4]]), "no numbers"),
     (annotation(9, 1, [[1, 1, 1e12, 9, 3, 4]]), "far outside"),
     (annotation(9, 1, polygon(70, 5, 90, 20)), "outside the frame"),
-    (annotation(9, 1, {"size": [10, 10], "counts": [0, 100]}), "its RLE is for a frame of size"),
+    (annotation(9, 1, {"size": [10, 10], "counts": [0, 100]}), "made for frames of 10x10 px, but the frames are 64x48"),
     (annotation(9, 1, {"size": [48, 64], "counts": [10, 20]}), "covers 30 of 3072"),
     (annotation(9, 1, {"size": [48, 64], "counts": [3072]}), "empty"),
     (annotation(9, 1, {"size": [48, 64], "counts": [4000, -928]}), "no usable counts"),
@@ -272,3 +273,170 @@ def test_what_passes_the_check_can_be_decoded_and_nothing_else(
             decode_segmentation([flat], WH)
     else:
         assert decode_segmentation([flat], WH)[1].any()
+
+
+SQUARE = compressed(rectangle(5, 10, 25, 20))
+
+
+@pytest.mark.parametrize("convert", [float, str, lambda n: f"{n}.0", lambda n: f" {n} "])
+@pytest.mark.parametrize("key", ["image", "annotation", "category", "annotation's category"])
+def test_ids_may_be_floats_or_text(tmp_path: Path, convert: Any, key: str) -> None:
+    data = {
+        "images": [{"id": convert(7) if key == "image" else 7, "file_name": "f_000003.jpg"}],
+        "categories": [{"id": convert(3) if key == "category" else 3, "name": "truck"}],
+        "annotations": [
+            annotation(
+                1,
+                convert(7) if key == "annotation" else 7,
+                SQUARE,
+                convert(3) if key == "annotation's category" else 3,
+            )
+        ],
+    }
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    assert masks_of(source, 3).class_ids.tolist() == [VehicleClass.TRUCK]
+    assert source.problems == []
+
+
+@pytest.mark.parametrize("image_id", ["frame_000003", "out/frame_000003", "000003", "frame_000003.png"])
+def test_image_ids_of_results_may_be_file_names(tmp_path: Path, image_id: str) -> None:
+    source = create_mask_source(write(tmp_path / "r.json", [annotation(1, image_id, SQUARE, 3, score="0.75")]))
+    assert masks_of(source, 3).scores.tolist() == [0.75]
+    by_name = create_mask_source(write(tmp_path / "r.json", [annotation(1, image_id, SQUARE, 3)]))
+    assert len(masks_of(by_name, 0, f"{Path(image_id).stem}.jpg")) == 1
+
+
+def test_annotations_may_name_their_image_by_its_file(tmp_path: Path) -> None:
+    data = {"images": [{"id": 7, "file_name": "a/f_3.jpg"}], "annotations": [annotation(1, "f_3", SQUARE, 3)]}
+    assert len(masks_of(create_mask_source(write(tmp_path / "m.json", data)), 3)) == 1
+
+
+@pytest.mark.parametrize("mark", [1, True, 1.0, "1"])
+def test_crowds_are_single_masks_where_there_is_little_else(tmp_path: Path, mark: Any) -> None:
+    crowds = [annotation(k, 1, SQUARE, iscrowd=mark) for k in range(3)]
+    data = {"images": [{"id": 1, "frame": 0}], "categories": CATEGORIES, "annotations": crowds}
+    source = create_mask_source(write(tmp_path / "m.json", data))
+    assert len(masks_of(source, 0)) == 3
+    assert source.problems == ["m.json: 3 annotations marked as crowds: taken as single masks"]
+    data["annotations"] = [*crowds, *(annotation(k, 1, polygon(1, 1, 9, 9)) for k in range(10, 14))]
+    source = create_mask_source(write(tmp_path / "m.json", data))
+    assert len(masks_of(source, 0)) == 4
+    assert source.problems == ["m.json: 3 crowd regions left out"]
+
+
+@pytest.mark.parametrize("factor", [0.5, 2, 3])
+@pytest.mark.parametrize("form", ["polygon", "compressed", "uncompressed"])
+def test_masks_of_another_size_are_scaled_where_that_is_allowed(tmp_path: Path, factor: float, form: str) -> None:
+    box = [4, 10, 26, 20]
+    w, h = round(WH[0] * factor), round(WH[1] * factor)
+    x0, y0, x1, y1 = (round(v * factor) for v in box)
+    mask = np.zeros((h, w), np.uint8)
+    mask[y0:y1, x0:x1] = 1
+    encoded = {"polygon": polygon(x0, y0, x1, y1), "compressed": compressed(mask), "uncompressed": uncompressed(mask)}
+    data = {
+        "images": [{"id": 1, "frame": 0, "width": w, "height": h}],
+        "annotations": [annotation(k, 1, encoded[form], 3) for k in range(5)],
+    }
+    path = write(tmp_path / "m.json", data)
+    scaled = create_mask_source(path, frame_wh=WH, coco=CocoOptions(scale_masks=True))
+    assert masks_of(scaled, 0).boxes_xyxy.tolist() == [box] * 5
+    assert scaled.problems == []
+    # One line, whatever form the masks have.
+    refused = create_mask_source(path, frame_wh=WH, clip=Clip(Path("v.mp4"), WH, 1))
+    (line,) = refused.problems
+    assert f"5 masks made for frames of {w}x{h} px, but the frames are 64x48 (with scale_masks they are scaled)" in line
+    with pytest.raises(DataError, match="no mask of a vehicle in it can be used: 5 masks") as caught:
+        check_masks(refused)
+    assert caught.value.parameters == ("scale_masks",)
+
+
+def test_masks_of_another_ratio_are_never_scaled(tmp_path: Path) -> None:
+    data = {
+        "images": [{"id": 1, "frame": 0, "width": 48, "height": 64}],
+        "annotations": [annotation(1, 1, polygon(1, 1, 9, 9), 3)],
+    }
+    source = create_mask_source(
+        write(tmp_path / "m.json", data), clip=Clip(Path("v.mp4"), WH, 1), coco=CocoOptions(scale_masks=True)
+    )
+    assert len(masks_of(source, 0)) == 0
+    assert "another ratio, so they cannot be scaled" in source.problems[0]
+
+
+def test_polygons_of_an_unknown_size_that_leave_the_frame_are_refused(tmp_path: Path) -> None:
+    data = {
+        "images": [{"id": 1, "frame": 0}],
+        "annotations": [annotation(k, 1, polygon(5 + 4 * k, 5, 20 + 4 * k, 40), 3) for k in range(25)],
+    }
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    assert len(masks_of(source, 0)) == 0
+    (line,) = source.problems
+    assert line.startswith("m.json: 25 annotations skipped: its polygon has no announced size, and such polygons reach")
+
+
+def test_bad_annotations_are_one_line_for_each_kind(tmp_path: Path) -> None:
+    bad = [annotation(k, 1, None) for k in range(1000)] + [annotation(k, 99 + k, SQUARE) for k in range(1000)]
+    data = {
+        "images": [{"id": 1, "frame": 0}],
+        "categories": CATEGORIES,
+        "annotations": [*bad, annotation(5, 1, SQUARE)],
+    }
+    source = create_mask_source(write(tmp_path / "m.json", data), frame_wh=WH)
+    assert source.problems == [
+        "m.json: 1000 annotations skipped: no image of this id, such as annotation 0: no image with id 99",
+        "m.json: 1000 annotations skipped: it has no segmentation, such as annotation 0: it has no segmentation",
+    ]
+
+
+def test_class_ids_from_0_without_categories_need_their_meaning(tmp_path: Path) -> None:
+    path = write(tmp_path / "r.json", [annotation(1, 0, SQUARE, 2), annotation(2, 0, SQUARE, 0)])
+    with pytest.raises(DataError, match=r"class ids begin with 0, .* say what they mean, as 2=car") as caught:
+        create_mask_source(path)
+    assert caught.value.parameters == ("classes",)
+    source = create_mask_source(path, coco=CocoOptions(classes=parse_classes("2=car")))
+    assert masks_of(source, 0).class_ids.tolist() == [VehicleClass.CAR]
+    assert source.problems == ["r.json: 1 annotation of other categories (1 id 0) left out"]
+
+
+def test_class_ids_that_are_no_vehicles_by_coco_are_told(tmp_path: Path) -> None:
+    source = create_mask_source(write(tmp_path / "r.json", [annotation(k, 0, SQUARE, 2) for k in range(3)]))
+    assert any("say what they mean with classes, as 2=car" in line for line in source.problems)
+
+
+def test_classes_name_other_categories(tmp_path: Path) -> None:
+    data = {
+        "images": [{"id": 1, "frame": 0}],
+        "categories": [{"id": 1, "name": "SUV"}, {"id": 2, "name": "car"}, {"id": 5, "name": "x"}],
+        "annotations": [annotation(k, 1, SQUARE, c) for k, c in enumerate([1, 2, 5])],
+    }
+    path = write(tmp_path / "m.json", data)
+    source = create_mask_source(path, coco=CocoOptions(classes=parse_classes("suv=car, 5=bus")))
+    assert masks_of(source, 0).class_ids.tolist() == [VehicleClass.CAR, VehicleClass.CAR, VehicleClass.BUS]
+    with pytest.raises(DataError, match="it has no category jeep"):
+        create_mask_source(path, coco=CocoOptions(classes=parse_classes("jeep=car")))
+
+
+@pytest.mark.parametrize("text", ["", "car", "2=", "=car", "2=boat", "2=car,,3=bus"])
+def test_classes_of_another_form_are_refused(text: str) -> None:
+    with pytest.raises(LabelgenError, match="as 2=car,7=truck,pickup=car") as caught:
+        parse_classes(text)
+    assert caught.value.parameters == ("classes",)
+
+
+def test_options_of_a_file_are_for_coco_only() -> None:
+    with pytest.raises(LabelgenError, match="only masks coco:FILE takes that") as caught:
+        create_mask_source("background", coco=CocoOptions(first_frame=1))
+    assert caught.value.parameters == ("first_frame",)
+
+
+def test_options_survive_being_written() -> None:
+    options = CocoOptions(1, True, parse_classes("2=car,suv=bus"))
+    assert CocoOptions.from_dict(json.loads(json.dumps(options.describe()))) == options
+    assert CocoOptions.from_dict(CocoOptions().describe()) == CocoOptions()
+    assert CocoOptions().describe() == {}
+    with pytest.raises(DataError, match="not as they were written"):
+        CocoOptions.from_dict({"classes": {"a": 77}})
+
+
+def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
+    (tmp_path / "r.json").write_text(json.dumps([annotation(1, 0, SQUARE, 3)]), encoding="utf-8-sig")
+    assert len(masks_of(create_mask_source(f"coco:{tmp_path / 'r.json'}"), 0)) == 1
