@@ -1,6 +1,10 @@
 """Errors a user can mend. The command line prints them as one line and exits with code 2."""
 
-__all__ = ["CalibrationError", "DataError", "LabelgenError", "OutputError", "RectificationError"]
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = ["CalibrationError", "DataError", "LabelgenError", "NoVehiclesError", "OutputError", "RectificationError"]
 
 
 class LabelgenError(Exception):
@@ -32,6 +36,25 @@ class RectificationError(LabelgenError):
 
 class DataError(LabelgenError):
     """A file or data set is missing, damaged, or not of the expected layout."""
+
+
+class NoVehiclesError(DataError):
+    """Not one vehicle was found in the input.
+
+    Args:
+        message: the line, with the reasons.
+        problems: what was skipped or left out on the way, one line for each kind.
+        parameter: see `LabelgenError`.
+
+    Attributes:
+        problems: as given.
+    """
+
+    def __init__(
+        self, message: str = "", *, problems: Sequence[str] = (), parameter: str | tuple[str, ...] | None = None
+    ) -> None:
+        super().__init__(message, parameter=parameter)
+        self.problems = tuple(problems)
 
 
 class OutputError(LabelgenError):

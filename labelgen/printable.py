@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 
-__all__ = ["printable"]
+__all__ = ["hide_passwords", "printable", "spreadsheet_text"]
 
 # Control characters, direction marks and other invisible formatting, lone surrogates, line and paragraph separators.
 _HIDDEN_CATEGORIES = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 # Formatting that scripts and emoji need: the zero-width joiner and non-joiner, and the soft hyphen.
 _NEEDED = {"\u200c", "\u200d", "\u00ad"}
+
+_PASSWORD = re.compile(r"([a-z][a-z0-9+.-]*://[^/\s:@]*:)[^/\s]+@", re.IGNORECASE)
 
 
 def printable(text: str, *, keep: str = "") -> str:
@@ -29,3 +32,13 @@ def printable(text: str, *, keep: str = "") -> str:
         else char.encode("unicode_escape").decode()
         for char in text
     )
+
+
+def hide_passwords(text: str) -> str:
+    """Return text with the passwords of its URLs replaced, as in rtsp://user:***@camera/1."""
+    return _PASSWORD.sub(r"\1***@", text)
+
+
+def spreadsheet_text(text: str) -> str:
+    """Return the text of a CSV cell that no spreadsheet takes for a formula."""
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") and text != "-" else text

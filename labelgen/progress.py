@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 
 from tqdm import tqdm
 
+from labelgen.printable import printable
+
 __all__ = ["defer_interrupt", "progress_bar"]
 
 _LOG_INTERVAL_S = 10.0
@@ -34,7 +36,7 @@ def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Call
     bar = tqdm(
         total=total,
         unit=unit,
-        desc=title or None,
+        desc=printable(title) or None,
         dynamic_ncols=True,
         smoothing=0.1,
         disable=logging.getLogger("labelgen").level > logging.INFO,

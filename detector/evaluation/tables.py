@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from labelgen.printable import spreadsheet_text
+
 if TYPE_CHECKING:
     from detector.evaluation.summary import Value
 
@@ -81,7 +83,7 @@ def format_table(rows: Sequence[Mapping[str, Value]], columns: Columns, style: T
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(rows[0])
-        writer.writerows([row[key] for key in rows[0]] for row in rows)
+        writer.writerows([_csv_cell(row[key]) for key in rows[0]] for row in rows)
         return buffer.getvalue().rstrip("\n")
     shown = {key: column for key, column in columns.items() if key in rows[0]}
     table = [[heading, *(_cell(row[key], form) for row in rows)] for key, (heading, form) in shown.items()]
@@ -95,6 +97,10 @@ def format_table(rows: Sequence[Mapping[str, Value]], columns: Columns, style: T
     if style is TableFormat.TEXT:
         return "\n".join("  ".join(line).rstrip() for line in lines)
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _csv_cell(value: Value) -> Value:
+    return spreadsheet_text(value) if isinstance(value, str) else value
 
 
 def _cell(value: Value, number_format: str) -> str:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labelgen.cli.options import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
+from labelgen.cli.printing import say
 
 __all__ = ["audit"]
 
@@ -29,11 +30,11 @@ def audit(
     if page.exists() and not overwrite:
         raise OutputError(f"--out {out}: it already holds an audit; add --overwrite or choose another folder")
     made = make_audit(shards, out, count=count, seed=seed)
-    typer.echo("Audit")
+    say("Audit")
     print_table([(chapter, f"{len(pictures)} pictures") for chapter, pictures in made.pictures.items()])
     for note in made.notes:
-        typer.echo(f"note: {note}", err=True)
-    typer.echo(f"open {made.page}")
+        say(f"note: {note}", err=True)
+    say(f"open {made.page}")
     report = {
         "page": str(made.page),
         "pictures": {chapter: [str(picture) for picture in pictures] for chapter, pictures in made.pictures.items()},

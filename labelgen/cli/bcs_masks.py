@@ -24,6 +24,7 @@ from labelgen.cli.options import (
     check_report_path,
     coco_options,
     rectified_size,
+    reported,
     show_summary,
 )
 
@@ -110,17 +111,18 @@ def bcs_masks(
         out = Path("shards") / scenes[0].name
     single = len(scenes) == 1
     scenes = [complete_scene(scene, out if single else out / scene.name, need_scale=False) for scene in scenes]
-    job = video_job(
-        scenes,
-        pair,
-        size_wh,
-        settings,
-        region=region,
-        every=every or manifest["labels"]["every"],
-        limit=limit,
-        per_shard=per_shard,
-        codec=ImageCodec(quality or None),
-    )
-    summary = run_job(job, out, overwrite=overwrite, workers=workers)
+    with reported(json_file):
+        job = video_job(
+            scenes,
+            pair,
+            size_wh,
+            settings,
+            region=region,
+            every=every or manifest["labels"]["every"],
+            limit=limit,
+            per_shard=per_shard,
+            codec=ImageCodec(quality or None),
+        )
+        summary = run_job(job, out, overwrite=overwrite, workers=workers)
     names = ", ".join(scene.name for scene in scenes)
     show_summary(f"Mask labels of {names}, {pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)

@@ -16,6 +16,7 @@ from labelgen.cli.options import (
     WorkersOption,
     check_report_path,
     rectified_size,
+    reported,
     show_summary,
 )
 
@@ -80,7 +81,8 @@ def boxcars(
         codec=ImageCodec(quality or None),
     )
     # The atlas lives in one process's memory.
-    summary = run_job(job, out, overwrite=overwrite, workers=1 if data.from_atlas else workers)
+    with reported(json_file):
+        summary = run_job(job, out, overwrite=overwrite, workers=1 if data.from_atlas else workers)
     show_summary(f"BoxCars116k labels, {pair} {size_wh[0]}x{size_wh[1]}", summary, out, json_file)
 
 

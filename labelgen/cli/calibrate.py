@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,15 +15,15 @@ from labelgen.cli.options import (
     check_report_path,
     picture_suffix,
     print_table,
+    warn_of,
     write_json_report,
 )
+from labelgen.cli.printing import say
 
 if TYPE_CHECKING:
     from labelgen.calibration.pipeline import Calibration
 
 __all__ = ["calibrate"]
-
-_log = logging.getLogger(__name__)
 
 
 def calibrate(
@@ -70,8 +69,9 @@ def calibrate(
     if picture is not None:
         picture_suffix("--picture", picture)
     principal_point = _point(pp)
+    frames = open_frames(video)
     calibration = calibrate_with_scale(
-        open_frames(video),
+        frames,
         scale or ["auto-models"],
         need_scale=bool(scale),
         pp=principal_point,
@@ -82,15 +82,15 @@ def calibrate(
     if picture is not None:
         _write_picture(calibration, picture)
     rows = _rows(calibration)
-    typer.echo(f"{calibration.camera.name} calibrated")
+    say(f"{calibration.camera.name} calibrated")
     print_table([*rows, ("in", out), *([("picture", picture)] if picture else [])])
-    for doubt in calibration.doubts:
-        _log.warning("%s", doubt)
+    warn_of([*calibration.doubts, *frames.problems])
     report = {
         **calibration.to_dict(),
         "focal": calibration.camera.focal,
         "vp3": calibration.camera.vp3.tolist(),
         "out": str(out),
+        "problems": frames.problems,
     }
     write_json_report(json_file, {**report, "picture": str(picture) if picture else None})
 

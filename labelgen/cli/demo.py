@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from labelgen.cli.options import OverwriteOption
+from labelgen.cli.printing import say
 
 __all__ = ["demo"]
 
@@ -43,15 +44,15 @@ def demo(
     _label_crops(data / "BoxCars116k", shards / "boxcars", plan["boxcars"])
     with _step(3, f"labelgen audit {shards / 'boxcars'} --out {audits / 'boxcars'}"):
         audit([shards / "boxcars"], out=audits / "boxcars", count=plan["audit"]["labels"], overwrite=True)
-    typer.echo(f"    first contact sheet: {sheets['boxcars']}")
+    say(f"    first contact sheet: {sheets['boxcars']}")
     _label_video(data, shards / "masks", plan["session"])
     with _step(6, f"labelgen audit {shards / 'masks'} --out {audits / 'masks'}"):
         audit([shards / "masks"], out=audits / "masks", count=plan["audit"]["labels"], overwrite=True)
     with _step(7, f"labelgen validate {shards / 'boxcars'} {shards / 'masks'}"):
         validate([shards / "boxcars", shards / "masks"])
-    typer.echo("Look at:")
+    say("Look at:")
     for name, sheet in sheets.items():
-        typer.echo(f"  {sheet}  or the page {audits / name / 'index.html'}")
+        say(f"  {sheet}  or the page {audits / name / 'index.html'}")
 
 
 def _label_crops(tree: Path, shards: Path, crops: dict[str, Any]) -> None:
@@ -92,7 +93,7 @@ def _label_video(data: Path, shards: Path, clip: dict[str, Any]) -> None:
 @contextmanager
 def _step(number: int, text: str) -> Iterator[None]:
     """Print a line for a step and how long it took; what the step itself prints is dropped, warnings are not."""
-    typer.echo(f"{number}/{_STEPS} {text} ", nl=False)
+    say(f"{number}/{_STEPS} {text} ", nl=False)
     start = time.monotonic()
     log = logging.getLogger("labelgen")
     level = log.level
@@ -102,4 +103,4 @@ def _step(number: int, text: str) -> Iterator[None]:
             yield
     finally:
         log.setLevel(level)
-        typer.echo(f"({time.monotonic() - start:.0f} s)")
+        say(f"({time.monotonic() - start:.0f} s)")

@@ -16,8 +16,10 @@ from labelgen.cli.options import (
     OverwriteOption,
     RoadMaskOption,
     print_table,
+    warn_of,
     write_json_report,
 )
+from labelgen.cli.printing import say
 
 if TYPE_CHECKING:
     from detector.inference import Detector
@@ -48,26 +50,36 @@ def detect(
     """
     from detector.inference import load_detector
     from labelgen.atomic_files import make_folder
-    from labelgen.errors import OutputError
+    from labelgen.errors import NoVehiclesError, OutputError
 
     detector = load_detector(checkpoint, score=score, device=device)
     target = out / "detections.jsonl"
     if target.exists() and not overwrite:
         raise OutputError(f"{target}: it exists already; use --overwrite or another --out")
     is_shards = source.suffix == ".h5" or (source.is_dir() and any(source.glob("shard-*.h5")))
+    problems: list[str] = []
     lines = (
         _of_shards(detector, source, limit)
         if is_shards
-        else _of_frames(detector, source, calibration, road_mask, every, limit)
+        else _of_frames(detector, source, calibration, road_mask, every, limit, problems)
     )
     first = next(lines)  # finds out what is wrong before anything is written
     make_folder(out)
     pictures = make_folder(out / "pictures") if render else None
     counts = _write(first, lines, target, pictures)
     rows = [("pictures", counts[0]), ("detections", counts[1]), ("in", out)]
-    typer.echo(f"Detections of {source.name} by {checkpoint.name}")
+    say(f"Detections of {source.name} by {checkpoint.name}")
     print_table(rows)
-    write_json_report(json_file, {"pictures": counts[0], "detections": counts[1], "file": str(target)})
+    warn_of(problems)
+    report = {"pictures": counts[0], "detections": counts[1], "file": str(target), "problems": problems}
+    if not counts[1]:
+        error = NoVehiclesError(
+            f"no vehicles found in {source.name}: 0 detections of a score of at least {score:g} in {counts[0]} pictures"
+            + (f" ({'; '.join(problems[:3])})" if problems else "")
+        )
+        write_json_report(json_file, {**report, "error": str(error)})
+        raise error
+    write_json_report(json_file, report)
 
 
 _Line = tuple[str, int, Any]
@@ -93,8 +105,10 @@ def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | 
 
 
 def _of_frames(
-    detector: Detector, source: Path, calibration: Path | None, road_mask: Path | None, every: int, limit: int | None
-) -> Iterator[_Line]:
+    detector: Detector, source: Path, calibration: Path | None, road_mask: Path | None, every: int, limit: int | None,
+    problems: list[str],
+) -> Iterator[_Line]:  # fmt: skip
+    """Yield the lines of a video or folder; append what had to be skipped to `problems`."""
     from itertools import islice
 
     from detector.speed.annotate import draw_detections
@@ -110,6 +124,7 @@ def _of_frames(
     for frame, found in model.detections(coming):
         text = json.dumps(found.to_dict()) + "\n"
         yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
+    problems += [*scene.notes, *scene.frames.problems, *model.problems]
 
 
 def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:

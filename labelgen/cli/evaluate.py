@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from detector.evaluation.tables import TableFormat
+from labelgen.cli.printing import say
 from labelgen.errors import DataError
 
 if TYPE_CHECKING:
@@ -55,15 +56,15 @@ def evaluate(
         if calibration != "own" or common_recall or plots is not None:
             raise DataError(f"{dataset} is of the Luvizon layout: no --calibration, --common-recall or --plots there")
         report = _luvizon(dataset, results, systems, "test" if recordings.lower() == "split-c" else recordings)
-        typer.echo(report.table(table))
+        say(report.table(table))
     else:
         report = _brnocompspeed(dataset, results, systems, recordings, calibration, common_recall)
-        typer.echo(report.tables(table))
+        say(report.tables(table))
         if table is TableFormat.TEXT:
-            typer.echo(f"\n{report.dropped_tracks()}")
+            say(f"\n{report.dropped_tracks()}")
         if plots is not None:
             report.write_plots(make_folder(plots))
-            typer.echo(f"plots: {plots}", err=True)
+            say(f"plots: {plots}", err=True)
     if json_file is not None:
         write_json(json_file, report.to_dict())
 
@@ -79,7 +80,7 @@ def _brnocompspeed(
     names = select_recordings(dataset, recordings)
     missing = [name for name in split_c_test() if name not in names]
     if recordings.lower() == "split-c" and missing:
-        typer.echo(f"note: of split C's test recordings these are not in {dataset}: {', '.join(missing)}", err=True)
+        say(f"note: of split C's test recordings these are not in {dataset}: {', '.join(missing)}", err=True)
     scored = score_results(dataset, results, names, systems, calibration)
     progress = tqdm(scored, total=len(names) * len(systems), desc="scoring", unit="file", leave=False)
     return SpeedReport.create(progress, systems, names, common_recall=common_recall)

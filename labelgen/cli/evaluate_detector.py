@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.cli.options import JsonOption, print_table, write_json_report
+from labelgen.cli.printing import say
 
 if TYPE_CHECKING:
     from detector.inference import Detector
@@ -41,7 +42,7 @@ def evaluate_detector(
     samples = open_shards(shards, metadata.pair, metadata.size_wh)
     result = evaluate_detections(_run(detector, samples, batch), score=score, min_height_px=metadata.min_height_px)
     size = "{}x{}".format(*metadata.size_wh)
-    typer.echo(f"{checkpoint.name} ({metadata.preset}, {metadata.pair}, {size}) on {len(samples)} pictures")
+    say(f"{checkpoint.name} ({metadata.preset}, {metadata.pair}, {size}) on {len(samples)} pictures")
     print_table(_rows(result))
     write_json_report(json_file, {"checkpoint": str(checkpoint), "preset": metadata.preset, **result})
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
+from labelgen.cli.printing import say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,7 +50,7 @@ def export_model(
         parity = check_onnx(checkpoint, out, _pictures(check, metadata), score=score)
         rows += [("boxes compared", parity.boxes), ("greatest difference, px", f"{parity.px:.2e}")]
         rows += [("of scores", f"{parity.score:.2e}"), ("of c_c, sizes", f"{parity.cc:.2e}, {parity.sizes:.2e}")]
-    typer.echo(f"Exported {checkpoint.name} ({metadata.preset}, {metadata.pair})")
+    say(f"Exported {checkpoint.name} ({metadata.preset}, {metadata.pair})")
     print_table(rows)
     write_json_report(
         json_file,

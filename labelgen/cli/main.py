@@ -15,7 +15,9 @@ from typing import Any, NamedTuple, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from labelgen.cli.printing import say
 from labelgen.errors import LabelgenError
+from labelgen.printable import hide_passwords, printable
 from labelgen.version import __version__
 
 __all__ = ["app", "main"]
@@ -123,7 +125,7 @@ app = typer.Typer(
 
 def _version(show: bool) -> None:
     if show:
-        typer.echo(f"labelgen {__version__}")
+        say(f"labelgen {__version__}")
         raise typer.Exit
 
 
@@ -178,6 +180,7 @@ def _log_to_standard_error() -> Iterator[None]:
     """Print what the library logs as lines on standard error, with the word `note` or `warning` before them."""
     handler = logging.StreamHandler()
     handler.setFormatter(_LineFormatter())
+    handler.addFilter(_Once())
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -195,14 +198,28 @@ class _LineFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         word = "note" if record.levelno == logging.INFO else record.levelname.lower()
-        return f"{word}: {record.getMessage()}"
+        return hide_passwords(printable(f"{word}: {record.getMessage()}"))
+
+
+class _Once(logging.Filter):
+    """Let each line through once: planning a job and doing it may tell the same."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._told: set[tuple[int, str]] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        line = (record.levelno, record.getMessage())
+        is_new = line not in self._told
+        self._told.add(line)
+        return is_new
 
 
 def _interrupted() -> NoReturn:
-    typer.echo("labelgen: interrupted; the same command goes on where it stopped", err=True)
+    say("labelgen: interrupted; the same command goes on where it stopped", err=True)
     sys.exit(130)
 
 
 def _fail(message: str) -> NoReturn:
-    typer.echo(f"labelgen: error: {message}", err=True)
+    say(f"labelgen: error: {message}", err=True)
     sys.exit(2)

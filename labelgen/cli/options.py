@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +14,8 @@ import typer
 
 from labelgen.atomic_files import write_json
 from labelgen.choices import Pair, Rule, parse_size
-from labelgen.errors import OutputError
+from labelgen.cli.printing import say
+from labelgen.errors import NoVehiclesError, OutputError
 
 if TYPE_CHECKING:
     from labelgen.masks.coco_options import CocoOptions
@@ -40,11 +43,16 @@ __all__ = [
     "picture_suffix",
     "print_table",
     "rectified_size",
+    "reported",
     "show_summary",
+    "warn_of",
     "write_json_report",
 ]
 
 _log = logging.getLogger(__name__)
+
+# Problems of one run that are printed; --json has all.
+_MAX_PRINTED = 10
 
 
 class ContactPoint(StrEnum):
@@ -127,7 +135,7 @@ def print_table(rows: list[tuple[str, Any]]) -> None:
     """Print two aligned columns on standard output."""
     width = max((len(name) for name, _ in rows), default=0)
     for name, value in rows:
-        typer.echo(f"  {name:<{width}}  {value}")
+        say(f"  {name:<{width}}  {value}")
 
 
 def check_report_path(path: Path | None, *others: Path | None) -> None:
@@ -176,9 +184,28 @@ def write_json_report(path: Path | None, data: Any) -> None:
         write_json(path, data)
 
 
+def warn_of(problems: Sequence[str]) -> None:
+    """Print problems as warnings, the first of them where there are many."""
+    for problem in problems[:_MAX_PRINTED]:
+        _log.warning("%s", problem)
+    if len(problems) > _MAX_PRINTED:
+        _log.warning("and %d more of these", len(problems) - _MAX_PRINTED)
+
+
+@contextmanager
+def reported(json_file: Path | None) -> Iterator[None]:
+    """Print the problems, and write --json, where the block finds no vehicles."""
+    try:
+        yield
+    except NoVehiclesError as err:
+        warn_of(err.problems)
+        write_json_report(json_file, {"error": str(err), "problems": list(err.problems)})
+        raise
+
+
 def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_file: Path | None) -> None:
     """Print the closing table and write --json."""
-    typer.echo(title)
+    say(title)
     rows: list[tuple[str, Any]] = [
         ("images", summary.images),
         ("labels", summary.labels),
@@ -190,6 +217,5 @@ def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_fil
     if out is not None:
         rows.append(("in", out))
     print_table(rows)
-    for warning in summary.warnings:
-        _log.warning("%s", warning)
+    warn_of([*summary.warnings, *summary.problems])
     write_json_report(json_file, {**summary.to_dict(), **({"out": str(out)} if out is not None else {})})

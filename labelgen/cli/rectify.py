@@ -24,6 +24,7 @@ from labelgen.cli.options import (
     rectified_size,
     write_json_report,
 )
+from labelgen.cli.printing import say
 
 __all__ = ["rectify"]
 
@@ -88,7 +89,7 @@ def rectify(
         "out": str(out),
     }
     write_json_report(json_file, report)
-    typer.echo(f"{scene.name} rectified, {pair} {size_wh[0]}x{size_wh[1]}")
+    say(f"{scene.name} rectified, {pair} {size_wh[0]}x{size_wh[1]}")
     print_table(
         [
             ("VPU, px", "{:.1f}, {:.1f}".format(*rectification.vpu)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,12 +13,12 @@ from labelgen.cli.options import (
     check_new_file,
     check_report_path,
     print_table,
+    warn_of,
     write_json_report,
 )
+from labelgen.cli.printing import say
 
 __all__ = ["road_mask"]
-
-_log = logging.getLogger(__name__)
 
 
 def road_mask(
@@ -53,11 +52,10 @@ def road_mask(
     frames = open_frames(video)
     if calibration is None:
         estimated = calibrate_video(frames, duration_s=duration)
-        camera, observations = estimated.camera, estimated.observations
+        camera, observations, doubts = estimated.camera, estimated.observations, list(estimated.doubts)
     else:
         camera = Camera.load(calibration, image_wh=frames.size_wh)
-        if (doubt := camera.size_doubt()) is not None:
-            _log.warning("%s", doubt)
+        doubts = [doubt for doubt in [camera.size_doubt()] if doubt]
         observations = observe(frames, duration_s=duration)
     road = estimate_road_mask(camera, observations.tracks)
     write_mask(out, road.pixels)
@@ -67,7 +65,15 @@ def road_mask(
         ("looked at, s", f"{observations.duration_s:.0f}"),
         ("in", out),
     ]
-    typer.echo(f"Road in {frames.name}")
+    say(f"Road in {frames.name}")
     print_table(rows)
-    report = {"share": float(road.pixels.mean()), "tracks": road.tracks, "along": road.along, "out": str(out)}
+    problems = [*doubts, *frames.problems]
+    warn_of(problems)
+    report = {
+        "problems": problems,
+        "share": float(road.pixels.mean()),
+        "tracks": road.tracks,
+        "along": road.along,
+        "out": str(out),
+    }
     write_json_report(json_file, {**report, "seconds": observations.duration_s, "calibrated": calibration is None})

@@ -16,6 +16,7 @@ from labelgen.cli.options import (
     show_summary,
     write_json_report,
 )
+from labelgen.cli.printing import say
 
 __all__ = ["inspect", "merge", "validate"]
 
@@ -59,7 +60,7 @@ def inspect(shards: ShardsArgument, json_file: JsonOption = None) -> None:
     }
     summary.extra = {key: _plain(value) for key, value in details.items()}
     show_summary(f"{len(data.readers)} shards", summary, None, None)
-    typer.echo("spread of the labels")
+    say("spread of the labels")
     print_table([(name, "  ".join(f"{k} {v:g}" for k, v in values.items())) for name, values in percentiles.items()])
     write_json_report(json_file, {**summary.to_dict(), **details, "spread": percentiles})
 
@@ -93,12 +94,12 @@ def validate(shards: ShardsArgument, json_file: JsonOption = None) -> None:
     for path, found in broken.items():
         for problem in found:
             said = problem.removeprefix(f"{path}: ")
-            typer.echo(f"labelgen: error: {path}: {said}", err=True)
+            say(f"labelgen: error: {path}: {said}", err=True)
     report = {"shards": len(files), "valid": not broken, "problems": broken}
     write_json_report(json_file, report)
     if broken:
         raise typer.Exit(2)
-    typer.echo(f"{len(files)} shards: all valid")
+    say(f"{len(files)} shards: all valid")
 
 
 def merge(

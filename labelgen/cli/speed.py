@@ -26,9 +26,12 @@ from labelgen.cli.options import (
     coco_options,
     print_table,
     rectified_size,
+    reported,
+    warn_of,
     write_json_report,
 )
-from labelgen.errors import LabelgenError
+from labelgen.cli.printing import say
+from labelgen.errors import LabelgenError, NoVehiclesError
 from labelgen.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -124,21 +127,22 @@ def speed(
         from_ = "masks:maskrcnn" if variant is Variant.SOCHOR else "masks:background"
     inputs = _Inputs(source, out, calibration, road_mask, fps, duration, stall, variant is Variant.DUBSKA)
     kind, _, argument = from_.partition(":")
-    if kind == "masks" and argument:
-        job = _mask_job(
-            inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
-            weights, device, coco_options(first_frame, scale_masks, classes),
-        )  # fmt: skip
-    elif kind == "model" and argument:
-        job = _model_job(inputs, Path(argument), variant, pair, size, score, device)
-    elif kind == "detections" and argument:
-        job = _file_job(inputs, Path(argument), variant, pair, size, render)
-    else:
-        raise LabelgenError(
-            f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, model:FILE or "
-            "detections:FILE",
-            parameter="from_",
-        )
+    with reported(json_file):
+        if kind == "masks" and argument:
+            job = _mask_job(
+                inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
+                weights, device, coco_options(first_frame, scale_masks, classes),
+            )  # fmt: skip
+        elif kind == "model" and argument:
+            job = _model_job(inputs, Path(argument), variant, pair, size, score, device)
+        elif kind == "detections" and argument:
+            job = _file_job(inputs, Path(argument), variant, pair, size, render)
+        else:
+            raise LabelgenError(
+                f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, model:FILE or "
+                "detections:FILE",
+                parameter="from_",
+            )
     files = ResultFiles.of(out, job.name, str(job.view.variant))
     files.prepare(overwrite=overwrite)
     meter = SpeedMeter(job.view.camera, fps=job.fps, lane_lines=job.lane_lines)
@@ -262,14 +266,14 @@ def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: boo
         ("in", files.tracks.parent),
     ]
     pair = job.view.rectification and job.view.rectification.pair
-    typer.echo(f"Speeds of {job.name}, {job.view.variant}" + (f", {pair}" if pair else ""))
+    say(f"Speeds of {job.name}, {job.view.variant}" + (f", {pair}" if pair else ""))
     print_table(rows)
-    for problem in summary.problems:
-        _log.warning("%s", problem)
+    warn_of(summary.problems)
     written = {"tracks": files.tracks, "vehicles": files.vehicles, "detections": files.detections}
     if render:
         written["video"] = files.video
     failure = job.failure
+    none_found = _no_vehicles(job, summary)
     write_json_report(
         json_file,
         {
@@ -277,6 +281,7 @@ def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: boo
             "variant": str(job.view.variant),
             **report,
             "failure": None if failure is None else str(failure),
+            **({} if none_found is None else {"error": str(none_found)}),
             "files": {name: str(path) for name, path in written.items() if path.is_file()},
         },
     )
@@ -285,3 +290,20 @@ def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: boo
         raise failure
     if summary.interrupted:
         raise KeyboardInterrupt
+    if none_found is not None:
+        raise none_found
+
+
+def _no_vehicles(job: SpeedJob, summary: SpeedSummary) -> NoVehiclesError | None:
+    """Return why a run found no vehicle; None where it found one."""
+    if summary.vehicles:
+        return None
+    reasons = [
+        *(f"{count} x {reason}" for reason, count in summary.rejects.most_common() if count),
+        *(f"{count} x track dropped, {reason}" for reason, count in summary.dropped_tracks.most_common() if count),
+        *summary.problems[:3],
+    ]
+    return NoVehiclesError(
+        f"no vehicles found in {job.name}: {summary.detections} detections in {summary.frames} frames"
+        + (f" ({'; '.join(reasons)})" if reasons else "")
+    )

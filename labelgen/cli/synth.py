@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labelgen.cli.options import Heading, JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
+from labelgen.cli.printing import say
 from labelgen.synth.shading.lighting import Weather
 
 __all__ = ["synth_app"]
@@ -32,7 +33,7 @@ def boxcars(
     from labelgen.synth.truth.boxcars116k import write_boxcars_tree
 
     summary = write_boxcars_tree(out, vehicles, seed, overwrite=overwrite)
-    typer.echo("synthetic crops in the BoxCars116k layout")
+    say("synthetic crops in the BoxCars116k layout")
     print_table(list(summary.items()))
     write_json_report(json_file, summary)
 
@@ -139,10 +140,10 @@ def session(
         overwrite=overwrite,
     )
     report = asdict(summary)
-    typer.echo(f"synthetic session {summary.name}" + ("" if summary.complete else ", ended early"))
+    say(f"synthetic session {summary.name}" + ("" if summary.complete else ", ended early"))
     print_table([*((k, report[k]) for k in ("frames", "vehicles", "masks")), *summary.files.items()])
     if summary.measured:
-        typer.echo("measured on the video")
+        say("measured on the video")
         print_table(list(summary.measured.items()))
     write_json_report(json_file, report)
     if not summary.complete:

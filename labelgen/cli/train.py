@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
+from labelgen.cli.printing import say
 
 __all__ = ["train"]
 
@@ -85,9 +86,7 @@ def train(
         shards, chosen, out, validation=val or [], weights=Path(weights) if weights and not named else None,
         resume=resume, overwrite=overwrite, seed=seed, machine=machine,
     )  # fmt: skip
-    typer.echo(
-        f"Trained {preset}" + (", interrupted; the same command with --resume goes on" if summary.interrupted else "")
-    )
+    say(f"Trained {preset}" + (", interrupted; the same command with --resume goes on" if summary.interrupted else ""))
     rows = [("steps", summary.steps), ("epochs", summary.epochs)]
     rows += [(name, f"{value:.4f}") for name, value in sorted(summary.metrics.items())]  # type: ignore[misc]
     print_table([*rows, ("checkpoint", summary.checkpoint), ("best", summary.best or "-")])

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 import cv2
 
-from labelgen.errors import DataError, LabelgenError
+from labelgen.errors import DataError, LabelgenError, NoVehiclesError
 from labelgen.jobs.staging import Staging
 from labelgen.progress import progress_bar
 from labelgen.shards import DatasetSummary, ShardReader, find_shards, summarise, write_index
@@ -82,7 +82,7 @@ def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -
 
     Raises:
         OutputError: the folder is in use, holds something else, or cannot be written.
-        LabelgenError: the job gave no label; the folder is then left as it was.
+        NoVehiclesError: the job gave no label; the folder is then left as it was.
     """
     with Staging(out, job.describe(), overwrite=overwrite) as staging:
         if not staging.published:
@@ -92,9 +92,10 @@ def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -
             if summary.labels == 0:
                 staging.discard()
                 top = ", ".join(f"{n} x {reason}" for reason, n in summary.reasons.most_common(4))
-                raise LabelgenError(
+                raise NoVehiclesError(
                     "no vehicles found: not one label came out of the input "
-                    f"({top or 'there was no input'}); nothing was written"
+                    f"({top or 'there was no input'}); nothing was written",
+                    problems=summary.problems,
                 )
             write_index(staging.path, shards, job.describe(), job.originals)
             staging.publish()

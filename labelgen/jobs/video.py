@@ -15,7 +15,7 @@ import numpy as np
 
 from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.scene import Scene, SceneFiles
-from labelgen.errors import DataError, LabelgenError
+from labelgen.errors import LabelgenError, NoVehiclesError
 from labelgen.geometry.rectification import Rectification
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
@@ -38,6 +38,7 @@ from labelgen.media.image_folder import ImageFolder
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
 from labelgen.shards.index import file_hash
+from labelgen.shards.rejects import INPUT_PROBLEM
 
 __all__ = ["MaskSettings", "VideoUnit", "video_job"]
 
@@ -125,7 +126,7 @@ def video_job(
     codec = codec or ImageCodec()
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     units: list[VideoUnit] = []
-    reasons: list[DataError] = []
+    reasons: list[NoVehiclesError] = []
     inputs = {}
     for number, files in enumerate(_with_distinct_names(scenes)):
         prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{files.name}"
@@ -153,11 +154,11 @@ def video_job(
     return Job("bcs-masks", job_settings, inputs, units, originals)
 
 
-def _no_masks(source: MaskSource) -> DataError | None:
+def _no_masks(source: MaskSource) -> NoVehiclesError | None:
     """Return why ready-made masks have none for a video; None where they have one."""
     try:
         check_masks(source)
-    except DataError as err:
+    except NoVehiclesError as err:
         return err
     return None
 
@@ -327,7 +328,7 @@ class VideoUnit:
                 *source.problems,
                 *([str(lost)] if lost else []),
             ]:
-                writer.reject(Reject(self.files.name, -1, -1, "input problem", problem))
+                writer.reject(Reject(self.files.name, -1, -1, INPUT_PROBLEM, problem))
 
     def _label(
         self, frame: Frame, masks: InstanceMasks, scene: Scene, rectification: Rectification, writer: ShardWriter

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import DataError
+from labelgen.errors import DataError, NoVehiclesError
 from labelgen.geometry.frame_size import scale_between, size_text
 from labelgen.masks.clip import Clip
 from labelgen.masks.coco_file import CLASS_BY_COCO_ID, Annotation, CocoFile
@@ -97,20 +97,26 @@ class CocoMasks:
         return [f"{self.path.name}: {line.encode('utf-8', 'backslashreplace').decode()}" for line in lines]
 
     @property
-    def no_masks(self) -> DataError | None:
+    def no_masks(self) -> NoVehiclesError | None:
         """Why no frame of the clip has a mask; None where one has, or where the clip is not known."""
         match = self._match
         if match is None:
             return None
         if match.no_frames is not None:
-            return DataError(f"{self.path}: {match.no_frames}", parameter=match.no_frames.parameters)
+            return NoVehiclesError(
+                f"{self.path}: no vehicles found: {match.no_frames}", parameter=match.no_frames.parameters
+            )
         taken = {*match.by_number.values(), *match.by_name.values()}
         if self._checked_wh is None or any(self._usable.get(entry) for entry in taken):
             return None
         reasons = [line.removeprefix(f"{self.path.name}: ") for line in self.problems]
         parameter = "scale_masks" if any("scale_masks" in reason for reason in reasons) else None
-        text = "; ".join(reasons) or "its image entries have no annotations"
-        return DataError(f"{self.path}: no mask of a vehicle in it can be used: {text}", parameter=parameter)
+        if not reasons:
+            return None  # a scene without vehicles
+        text = "; ".join(reasons)
+        return NoVehiclesError(
+            f"{self.path}: no vehicles found, no mask in it can be used: {text}", parameter=parameter
+        )
 
     def prime(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Do nothing: the masks are there already."""

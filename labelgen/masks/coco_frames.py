@@ -229,7 +229,9 @@ def _of_this_video(named: list[_Named], clip: Clip) -> list[_Named]:
         return named
     ranks = {group: _likeness(group, clip) for group in groups}
     best = max(ranks.values())
-    return named if best == (0, 0, 0) else [item for item in named if ranks[item.group] == best]
+    if best == (0, 0, 0):
+        return named
+    return [item for item in named if ranks[item.group] == best or not item.group]
 
 
 def _likeness(group: tuple[str, ...], clip: Clip) -> tuple[int, int, int]:

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import DataError, LabelgenError
+from labelgen.errors import LabelgenError, NoVehiclesError
 from labelgen.masks.clip import Clip
 from labelgen.masks.coco_options import CocoOptions
 from labelgen.masks.instances import InstanceMasks
@@ -167,9 +167,9 @@ def check_masks(source: MaskSource) -> None:
     """Refuse ready-made masks of which none belongs to the frames.
 
     Raises:
-        DataError: says why.
+        NoVehiclesError: says why.
     """
-    reason: DataError | None = getattr(source, "no_masks", None)
+    reason: NoVehiclesError | None = getattr(source, "no_masks", None)
     if reason is not None:
         raise reason
 

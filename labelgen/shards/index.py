@@ -13,7 +13,7 @@ from labelgen.atomic_files import write_atomic, write_json
 from labelgen.errors import DataError
 from labelgen.json_file import parse_json
 from labelgen.shards.reader import ShardReader
-from labelgen.shards.rejects import to_json_lines
+from labelgen.shards.rejects import INPUT_PROBLEM, to_json_lines
 from labelgen.shards.schema import FORMAT, HASH_ATTRIBUTE, VERSION
 from labelgen.version import __version__
 
@@ -30,6 +30,8 @@ __all__ = [
 
 INDEX_NAME = "dataset.json"
 REJECTS_NAME = "rejects.jsonl"
+# Lines of one shard in a summary; all are in the file of the rejects.
+_MAX_PROBLEMS = 100
 _INDEX_FORMAT = f"{FORMAT}-index"
 
 
@@ -43,7 +45,8 @@ class DatasetSummary:
         rejects: number of inputs without a label.
         shards: number of files.
         reasons: number of rejects by reason.
-        warnings: problems that a user must know.
+        warnings: what a user must know of the data set.
+        problems: what was skipped or left out of the input, one line each.
         extra: further figures, by name.
     """
 
@@ -53,6 +56,7 @@ class DatasetSummary:
     shards: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -64,6 +68,7 @@ class DatasetSummary:
             "shards": self.shards,
             "rejects_by_reason": dict(sorted(self.reasons.items())),
             "warnings": self.warnings,
+            "problems": self.problems,
             **self.extra,
         }
 
@@ -80,6 +85,8 @@ def summarise(readers: Sequence[ShardReader]) -> DatasetSummary:
         summary.labels += reader.label_count
         summary.rejects += len(reader.rejects)
         summary.reasons.update(reject.reason for reject in reader.rejects)
+        problems = dict.fromkeys(reject.detail for reject in reader.rejects if reject.reason == INPUT_PROBLEM)
+        summary.problems += [line for line in problems if line not in summary.problems][:_MAX_PROBLEMS]
         reader.close()
     return summary
 

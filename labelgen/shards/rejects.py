@@ -8,7 +8,10 @@ from dataclasses import asdict, dataclass
 
 from labelgen.json_file import parse_json
 
-__all__ = ["Reject", "from_json_lines", "to_json_lines"]
+__all__ = ["INPUT_PROBLEM", "Reject", "from_json_lines", "to_json_lines"]
+
+INPUT_PROBLEM = "input problem"
+"""Reason of a reject that is about the input as a whole."""
 
 
 @dataclass(frozen=True)

@@ -345,7 +345,7 @@ def test_masks_of_another_size_are_scaled_where_that_is_allowed(tmp_path: Path, 
     refused = create_mask_source(path, frame_wh=WH, clip=Clip(Path("v.mp4"), WH, 1))
     (line,) = refused.problems
     assert f"5 masks made for frames of {w}x{h} px, but the frames are 64x48 (with scale_masks they are scaled)" in line
-    with pytest.raises(DataError, match="no mask of a vehicle in it can be used: 5 masks") as caught:
+    with pytest.raises(DataError, match="no vehicles found, no mask in it can be used: 5 masks") as caught:
         check_masks(refused)
     assert caught.value.parameters == ("scale_masks",)
 
