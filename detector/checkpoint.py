@@ -6,19 +6,20 @@ fields (weights, optimiser, progress) and, under "labelgen", the metadata of the
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from detector.metadata_schema import metadata_problems
 from detector.model.retinanet import CcRetinaNet, ModelConfig, build_model
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Region
+from labelgen.torch_file import first_not_finite, load_torch_file
 from labelgen.version import __version__
 
-__all__ = ["METADATA_KEY", "ModelMetadata", "load_model", "read_checkpoint"]
+__all__ = ["METADATA_KEY", "ModelMetadata", "check_weights", "load_model", "read_checkpoint"]
 
 METADATA_KEY, WEIGHTS_PREFIX = "labelgen", "model."
 _FORMAT, _VERSION = "labelgen-detector", 1
@@ -75,36 +76,35 @@ class ModelMetadata:
             raise DataError(
                 f"{where}: checkpoint format {data.get('version')}, this labelgen reads {_VERSION}; take the other one"
             )
-        try:
-            config = {key: _as_tuples(value) for key, value in data["config"].items()}
-            return cls(
-                data["preset"], Pair.parse(data["pair"]), (int(data["size_wh"][0]), int(data["size_wh"][1])),
-                ModelConfig(**config), float(data["min_height_px"]), list(data["labels"]), dict(data["training"]),
-                str(data["producer"]),
-            )  # fmt: skip
-        except (KeyError, TypeError, ValueError, LabelgenError) as err:
-            raise DataError(f"{where}: damaged metadata ({err}); train again") from None
+        problems = metadata_problems(data)
+        if problems:
+            raise DataError(f"{where}: damaged metadata ({'; '.join(problems)}); train again")
+        config = {key: _as_tuples(value) for key, value in data["config"].items()}
+        width, height = data["size_wh"]
+        return cls(
+            data["preset"], Pair.parse(data["pair"]), (width, height), ModelConfig(**config),
+            float(data["min_height_px"]), list(data["labels"]), dict(data["training"]), data["producer"],
+        )  # fmt: skip
 
 
 def _as_tuples(value: Any) -> Any:
     return tuple(_as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
-def read_checkpoint(path: str | Path) -> dict[str, Any]:
+def read_checkpoint(path: str | Path, label: str = "") -> dict[str, Any]:
     """Read the content of a checkpoint: tensors and plain values, no code.
+
+    Args:
+        path: checkpoint.
+        label: what it is and its path, for errors; "checkpoint PATH" by default.
 
     Raises:
         DataError: no such file, damaged, or with anything else inside.
     """
-    try:
-        data = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError as err:
-        raise DataError(f"checkpoint {path}: {err.strerror or err}") from None
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as err:
-        reason = " ".join(str(err).split())[:120]
-        raise DataError(f"checkpoint {path}: not a whole checkpoint of plain weights ({reason})") from None
+    label = label or f"checkpoint {path}"
+    data = load_torch_file(path, label)
     if not isinstance(data, dict):
-        raise DataError(f"checkpoint {path}: not a checkpoint of a labelgen detector")
+        raise DataError(f"{label}: not a checkpoint of a labelgen detector")
     return data
 
 
@@ -120,20 +120,47 @@ def load_model(path: str | Path, **options: Any) -> tuple[CcRetinaNet, ModelMeta
     """
     data = read_checkpoint(path)
     metadata = ModelMetadata.from_dict(data.get(METADATA_KEY), f"checkpoint {path}")
+    state = check_weights(data.get("state_dict", {}), metadata, f"checkpoint {path}")
     model = build_model(metadata.config, **options)
-    _load_weights(model, data.get("state_dict", {}), f"checkpoint {path}")
+    model.load_state_dict(state)
     return model.eval(), metadata
 
 
-def _load_weights(model: CcRetinaNet, state: Any, where: str) -> None:
-    """Load a checkpoint's "state_dict" or a bare state dict into a model.
+def check_weights(state: Any, metadata: ModelMetadata, where: str) -> dict[str, Any]:
+    """Return a checkpoint's weights by their names in the network.
+
+    Names and shapes are compared with a network without memory: a file cannot ask for one that it does not fill.
+
+    Args:
+        state: "state_dict" of the checkpoint, or a bare state dict.
+        metadata: says which network they are of.
+        where: they come from, for messages.
 
     Raises:
-        DataError: the weights do not fit.
+        DataError: they do not fit, or are not finite.
     """
-    own = {key.removeprefix(WEIGHTS_PREFIX): value for key, value in dict(state).items()}
+    if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
+        raise DataError(f"{where}: it has no weights")
+    own = {str(key).removeprefix(WEIGHTS_PREFIX): value for key, value in state.items()}
     try:
-        model.load_state_dict(own)
-    except (RuntimeError, AttributeError) as err:
-        reason = " ".join(str(err).split())[:160]
-        raise DataError(f"{where}: its weights are of another network ({reason})") from None
+        with torch.device("meta"):
+            expected = build_model(metadata.config).state_dict()
+    except (RuntimeError, ValueError, TypeError, AttributeError, NotImplementedError, LabelgenError) as err:
+        reason = " ".join(str(err).split())[:120]
+        raise DataError(
+            f"{where}: damaged metadata (no network of its kind can be built: {reason}); train again"
+        ) from None
+    differing = [key for key in expected if key not in own or own[key].shape != expected[key].shape]
+    differing += [key for key in own if key not in expected]
+    if differing:
+        shown = ", ".join(differing[:3]) + (f" and {len(differing) - 3} more" if len(differing) > 3 else "")
+        raise DataError(f"{where}: its weights are of another network ({shown} differ)")
+    if any(own[key].is_floating_point() != expected[key].is_floating_point() for key in expected):
+        raise DataError(f"{where}: its weights are of another type")
+    broken = first_not_finite(own)
+    if broken is not None:
+        raise DataError(
+            f"{where}: its weights are not finite ({broken}), so it detects nothing; take an earlier checkpoint, or "
+            "train again with a lower learning rate"
+        )
+    return own

@@ -7,27 +7,9 @@ from typing import Any
 
 import torch
 
-from labelgen.errors import LabelgenError
+from labelgen.torch_device import choose_device
 
 __all__ = ["choose_device", "gains_from_half"]
-
-
-def choose_device(name: str | None) -> torch.device:
-    """Return a torch device.
-
-    Args:
-        name: as torch has it, for instance "cpu" or "cuda:0"; None for the GPU where there is one, else the CPU.
-
-    Raises:
-        LabelgenError: no such device on this machine.
-    """
-    try:
-        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as err:
-        reason = " ".join(str(err).split())[:100]
-        raise LabelgenError(f"device {name}: {reason}; use cpu or cuda", parameter="device") from None
-    return device
 
 
 def gains_from_half(device: torch.device) -> bool:

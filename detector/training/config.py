@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -106,10 +107,13 @@ def find_preset(name: str, **changes: object) -> Preset:
         changes: new values of its fields; None leaves a field as it is.
 
     Raises:
-        LabelgenError: no such preset; the message lists all.
+        LabelgenError: no such preset, and the message lists all; or a learning rate that is not a positive number.
     """
     if name not in PRESETS:
         raise LabelgenError(f"preset {name}: unknown; use one of {', '.join(PRESETS)}", parameter="preset")
+    lr = changes.get("lr")
+    if lr is not None and not (isinstance(lr, int | float) and math.isfinite(lr) and lr > 0):
+        raise LabelgenError(f"lr {lr}: expected a positive number, for instance 0.001", parameter="lr")
     return replace(PRESETS[name], **{key: value for key, value in changes.items() if value is not None})  # type: ignore[arg-type]
 
 
@@ -118,7 +122,7 @@ class MachineConfig:
     """Where and how training runs.
 
     Args:
-        accelerator: Lightning's name of the kind of device: "auto", "cpu", "gpu".
+        accelerator: kind of device: "auto", "cpu", "gpu", "cuda", "cuda:0" or "mps", see `labelgen.torch_device`.
         devices: number of devices per machine, or "auto".
         num_nodes: number of machines.
         strategy: Lightning's name of how processes work together: "auto", "ddp", ...

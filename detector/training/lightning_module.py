@@ -16,7 +16,9 @@ from detector.inference import labels_from_output
 from detector.metrics import evaluate_detections
 from detector.model.retinanet import CcRetinaNet
 from detector.training.config import Preset
+from labelgen.errors import LabelgenError
 from labelgen.labels import Labels, Sample
+from labelgen.torch_file import first_not_finite
 
 __all__ = ["VALIDATION_SCORE", "DetectorModule"]
 
@@ -35,6 +37,9 @@ class DetectorModule(LightningModule):
         metadata: is written into every checkpoint.
         total_steps: number of steps of all epochs, for the cosine schedule.
         validation: samples that the validation loader draws from; None without validation.
+
+    Attributes:
+        has_begun: whether the loop of training has begun.
     """
 
     def __init__(
@@ -50,11 +55,22 @@ class DetectorModule(LightningModule):
         self._preset, self._metadata, self._total_steps = preset, metadata, total_steps
         self._validation = validation
         self._detections: dict[int, Labels] = {}
+        self.has_begun = False
+
+    def on_train_start(self) -> None:
+        """Note that a checkpoint to resume from, if any, has been read."""
+        self.has_begun = True
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """Return the loss of a batch, and log its terms."""
+        """Return the loss of a batch, and log its terms.
+
+        Raises:
+            LabelgenError: the loss is not finite.
+        """
         losses = self.model(_images(batch), batch.targets)
         total: Tensor = torch.stack(list(losses.values())).sum()
+        if not torch.isfinite(total):
+            raise self._diverged("the loss")
         self.log("train/loss", total, on_step=True, on_epoch=True, prog_bar=True, batch_size=len(batch))
         for name, value in losses.items():
             self.log(f"train/{name}", value, on_step=True, on_epoch=False, batch_size=len(batch))
@@ -109,6 +125,13 @@ class DetectorModule(LightningModule):
         monitor = VALIDATION_SCORE if has_validation else "train/loss_epoch"
         return {"optimizer": optimiser, "lr_scheduler": {"scheduler": plateau, "interval": "epoch", "monitor": monitor}}
 
+    def _diverged(self, what: str) -> LabelgenError:
+        return LabelgenError(
+            f"training has diverged: {what} is not finite after step {self.trainer.global_step}; lower the learning "
+            f"rate ({self._preset.lr:g}), the last checkpoint, if any, is from before",
+            parameter="lr",
+        )
+
     def _parameter_groups(self, decay: float) -> list[dict[str, Any]]:
         """Split the parameters: weights decay, biases and normalisations do not."""
         parameters = [p for p in self.parameters() if p.requires_grad]
@@ -126,7 +149,13 @@ class DetectorModule(LightningModule):
         return 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add the metadata to a checkpoint."""
+        """Add the metadata to a checkpoint.
+
+        Raises:
+            LabelgenError: the weights are not finite; nothing is written then.
+        """
+        if first_not_finite(checkpoint.get("state_dict", {})) is not None:
+            raise self._diverged("a weight")
         checkpoint[METADATA_KEY] = self._metadata.to_dict()
 
 

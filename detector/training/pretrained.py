@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from detector.checkpoint import WEIGHTS_PREFIX
 from detector.model.retinanet import CcRetinaNet
 from labelgen.errors import DataError
+from labelgen.torch_file import first_not_finite
 
 __all__ = ["load_pretrained"]
 
@@ -37,11 +38,13 @@ def load_pretrained(model: CcRetinaNet, data: Mapping[str, Any], where: str) -> 
     Raises:
         DataError: they are of none of these.
     """
-    state = {
-        str(key).removeprefix(WEIGHTS_PREFIX): value
-        for key, value in dict(data.get("state_dict", data)).items()
-        if isinstance(value, Tensor)
-    }
+    given = data.get("state_dict", data)
+    if not isinstance(given, Mapping):
+        raise DataError(f"{where}: it has no weights")
+    state = {str(k).removeprefix(WEIGHTS_PREFIX): value for k, value in given.items() if isinstance(value, Tensor)}
+    broken = first_not_finite(state)
+    if broken is not None:
+        raise DataError(f"{where}: its weights are not finite ({broken}); take another file")
     own = model.state_dict()
     if _misfits(own, state) == []:
         model.load_state_dict({key: state.get(key, own[key]) for key in own})

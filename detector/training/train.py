@@ -10,6 +10,7 @@ RUN_DIR/tensorboard/     the same figures for TensorBoard
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from detector.checkpoint import METADATA_KEY, ModelMetadata, read_checkpoint
+from detector.checkpoint import METADATA_KEY, ModelMetadata, check_weights, read_checkpoint
 from detector.data.dataset import (
     ShardSource,
     StepSampler,
@@ -29,13 +30,12 @@ from detector.data.dataset import (
     open_shards,
     open_sources,
 )
-from detector.device import gains_from_half
 from detector.model.anchor_fit import fit_anchors
 from detector.model.retinanet import CcRetinaNet, build_model
 from detector.training.config import MachineConfig, Preset
 from detector.training.pretrained import load_pretrained
-from labelgen.atomic_files import make_folder
-from labelgen.errors import LabelgenError, OutputError
+from labelgen.atomic_files import make_folder, remove_temporary_files
+from labelgen.errors import DataError, LabelgenError, OutputError
 from labelgen.geometry import Region
 from labelgen.geometry.homography import Array
 
@@ -57,7 +57,8 @@ class TrainSummary:
         checkpoint: file with the newest weights.
         best: file with the weights of the best validation; None without validation.
         metrics: last value of each logged figure, by name.
-        interrupted: whether the user stopped it.
+        interrupted: whether a signal stopped it.
+        signal: number of that signal, for the exit code; None where there was none.
     """
 
     steps: int
@@ -66,6 +67,7 @@ class TrainSummary:
     best: Path | None
     metrics: dict[str, float]
     interrupted: bool
+    signal: int | None = None
 
 
 def train(
@@ -100,9 +102,15 @@ def train(
     Raises:
         DataError: shards of another pair or size, or weights that do not fit.
         OutputError: the folder holds a run and neither `resume` nor `overwrite` is given, or cannot be written.
-        LabelgenError: Lightning is not installed, the shards lack labels, or a run is resumed with other settings.
+        LabelgenError: Lightning is not installed, the machine lacks what is asked for, the shards lack labels, a run is
+            resumed with other settings, or the loss is not finite; the last checkpoint then stays.
     """
     out, machine = Path(out), machine or MachineConfig()
+    try:
+        from detector.training.machine import check_machine
+    except ModuleNotFoundError as err:
+        raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
+    check_machine(machine, preset)
     sources = open_sources(shards, preset.pair, preset.size_wh)
     metadata, steps = _plan(preset, sources, seed)
     validation_samples = None
@@ -116,10 +124,11 @@ def train(
             f"{out}: it holds a training run; resume it, or overwrite it", parameter=("resume", "overwrite")
         )
     make_folder(out)
+    remove_temporary_files(out)
     torch.manual_seed(seed)
     model = build_model(metadata.config, weights="none" if weights or resume else preset.weights)
     if weights is not None and not resume:
-        loaded = load_pretrained(model, read_checkpoint(weights), f"weights {weights}")
+        loaded = load_pretrained(model, read_checkpoint(weights, f"weights {weights}"), f"weights {weights}")
         logger.info("starting from %s: weights of a %s", weights, loaded)
     samples = TrainingSamples(sources, metadata.size_wh, preset.whole, preset.crops, seed)
     return _fit(model, preset, metadata, samples, validation_samples, steps, out, last if resume else None, machine)
@@ -175,7 +184,9 @@ def _metadata_of_resumed(path: Path, metadata: ModelMetadata) -> ModelMetadata:
         DataError: not a checkpoint.
         LabelgenError: it was made with other settings than those of `metadata`.
     """
-    stored = ModelMetadata.from_dict(read_checkpoint(path).get(METADATA_KEY), f"checkpoint {path}")
+    data = read_checkpoint(path)
+    stored = ModelMetadata.from_dict(data.get(METADATA_KEY), f"checkpoint {path}")
+    check_weights(data.get("state_dict"), stored, f"checkpoint {path}")
     settings = {
         "preset": (stored.preset, metadata.preset),
         "pair and size": ((stored.pair, stored.size_wh), (metadata.pair, metadata.size_wh)),
@@ -199,13 +210,6 @@ def _plain(value: Any) -> Any:
     return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
-def _precision(preset: Preset, machine: MachineConfig) -> Any:
-    """Return Lightning's name of the precision: mixed where the preset wants it and the device gains from it."""
-    on_cpu = machine.accelerator == "cpu" or not torch.cuda.is_available()
-    device = torch.device("cpu" if on_cpu else "cuda")
-    return "bf16-mixed" if preset.half and gains_from_half(device) else "32-true"
-
-
 def _fit(
     model: CcRetinaNet, preset: Preset, metadata: ModelMetadata, samples: TrainingSamples,
     validation: ValidationSamples | None, steps: int, out: Path, resume_from: Path | None, machine: MachineConfig,
@@ -216,13 +220,13 @@ def _fit(
 
         from detector.training.callbacks import callbacks, loggers
         from detector.training.lightning_module import DetectorModule
+        from detector.training.machine import AtomicCheckpoints, trainer_options
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
 
     module = DetectorModule(model, preset, metadata, preset.epochs * steps, validation)
     trainer = pl.Trainer(
-        accelerator=machine.accelerator, devices=machine.devices, num_nodes=machine.num_nodes,
-        strategy=machine.strategy, precision=machine.precision or _precision(preset, machine), max_epochs=preset.epochs,
+        **trainer_options(machine, preset), max_epochs=preset.epochs, plugins=[AtomicCheckpoints()],
         gradient_clip_val=preset.clip_norm, logger=loggers(out), use_distributed_sampler=False,
         callbacks=callbacks(out, preset, validation is not None, machine), num_sanity_val_steps=0,
         enable_progress_bar=machine.progress, enable_model_summary=False, log_every_n_steps=10,
@@ -235,10 +239,29 @@ def _fit(
     validation_loader = None
     if validation is not None:
         validation_loader = make_loader(validation, batch=preset.batch, workers=machine.workers)
-    trainer.fit(module, training_loader, validation_loader, ckpt_path=resume_from, weights_only=True)
+    stopped_by = _run(trainer, module, training_loader, validation_loader, resume_from)
     best = out / _BEST
     metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
     return TrainSummary(
         trainer.global_step, trainer.current_epoch, out / _LAST, best if best.exists() else None, metrics,
-        trainer.interrupted,
+        stopped_by is not None, stopped_by,
     )  # fmt: skip
+
+
+def _run(trainer: Any, module: Any, training: Any, validation: Any, resume_from: Path | None) -> int | None:
+    """Run the loop; return the signal that stopped it, or None.
+
+    Raises:
+        DataError: the checkpoint to resume from is damaged.
+    """
+    try:
+        trainer.fit(module, training, validation, ckpt_path=resume_from, weights_only=True)
+    except SystemExit:  # Lightning's way to end after a signal
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        return int(signal.SIGTERM if trainer.received_sigterm else signal.SIGINT)
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as err:
+        if resume_from is None or module.has_begun:
+            raise
+        reason = " ".join(str(err).split())[:160] or type(err).__name__
+        raise DataError(f"{resume_from}: damaged ({reason}); start a new run from its weights") from None
+    return None

@@ -142,7 +142,7 @@ def root(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted."""
+    """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted, 143 terminated."""
     with _log_to_standard_error():
         sys.exit(_run(list(sys.argv[1:] if arguments is None else arguments)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -53,7 +54,7 @@ def train(
     precision: Annotated[
         str | None, typer.Option("--precision", help="Lightning's: 32-true, bf16-mixed, 16-mixed; the preset's choice.")
     ] = None,
-    device: Annotated[str, typer.Option("--device", help="Lightning's accelerator: auto, cpu, gpu.")] = "auto",
+    device: Annotated[str, typer.Option("--device", help="auto, cpu, gpu, cuda, cuda:0 or mps.")] = "auto",
     devices: Annotated[str, typer.Option("--devices", help="How many of them, or auto.")] = "auto",
     nodes: Annotated[int, typer.Option("--nodes", min=1, help="Machines, each started by your launcher.")] = 1,
     strategy: Annotated[str, typer.Option("--strategy", help="Lightning's: auto, ddp, ...")] = "auto",
@@ -80,25 +81,29 @@ def train(
     if backbone is not None:
         chosen = replace(chosen, model=replace(chosen.model, backbone=backbone))
     machine = MachineConfig(
-        device, int(devices) if devices.isdigit() else devices, nodes, strategy, precision, workers, checkpoint_every
-    )
+        device, int(devices) if re.fullmatch("[0-9]{1,9}", devices) else devices, nodes, strategy, precision, workers,
+        checkpoint_every,
+    )  # fmt: skip
     summary = run(
         shards, chosen, out, validation=val or [], weights=Path(weights) if weights and not named else None,
         resume=resume, overwrite=overwrite, seed=seed, machine=machine,
     )  # fmt: skip
-    say(f"Trained {preset}" + (", interrupted; the same command with --resume goes on" if summary.interrupted else ""))
+    saved = summary.checkpoint.exists()
+    goes_on = "; the same command with --resume goes on" if saved else " before the first checkpoint"
+    say(f"Trained {preset}" + (f", interrupted{goes_on}" if summary.interrupted else ""))
     rows = [("steps", summary.steps), ("epochs", summary.epochs)]
     rows += [(name, f"{value:.4f}") for name, value in sorted(summary.metrics.items())]  # type: ignore[misc]
-    print_table([*rows, ("checkpoint", summary.checkpoint), ("best", summary.best or "-")])
+    print_table([*rows, ("checkpoint", summary.checkpoint if saved else "-"), ("best", summary.best or "-")])
     # NaN, where there was nothing to measure, is no JSON.
     metrics = {name: value if math.isfinite(value) else None for name, value in summary.metrics.items()}
     write_json_report(
         json_file,
         {
             "preset": preset, "steps": summary.steps, "epochs": summary.epochs, "metrics": metrics,
-            "checkpoint": str(summary.checkpoint), "best": None if summary.best is None else str(summary.best),
+            "checkpoint": str(summary.checkpoint) if saved else None,
+            "best": None if summary.best is None else str(summary.best),
             "interrupted": summary.interrupted,
         },
     )  # fmt: skip
-    if summary.interrupted:
-        raise typer.Exit(130)
+    if summary.signal is not None:
+        raise typer.Exit(128 + summary.signal)

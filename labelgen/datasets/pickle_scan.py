@@ -73,14 +73,15 @@ _CALLS = {p.REDUCE[0]: 2, p.BUILD[0]: 2, p.NEWOBJ[0]: 2, p.STACK_GLOBAL[0]: 2, p
 _TUPLE, _DICT, _FROZENSET, _SETITEMS, _ADDITEMS = _code(p.TUPLE, p.DICT, p.FROZENSET, p.SETITEMS, p.ADDITEMS)
 _MARK, _POP, _POP_MARK, _DUP, _STOP = _code(p.MARK, p.POP, p.POP_MARK, p.DUP, p.STOP)
 _PUT, _GET, _MEMOIZE, _APPEND, _SETITEM = _code(p.PUT, p.GET, p.MEMOIZE, p.APPEND, p.SETITEM)
+(_BINPERSID,) = _code(p.BINPERSID)
 _GLOBAL, _INST, _PROTO, _FRAME, _APPENDS = _code(p.GLOBAL, p.INST, p.PROTO, p.FRAME, p.APPENDS)
 
 
 class _Scan:
     """The stack machine: each value on its stack is the number of parts that hashing it visits."""
 
-    def __init__(self, data: bytes | mmap.mmap, limits: PickleLimits) -> None:
-        self.data, self.limits, self.at = data, limits, 0
+    def __init__(self, data: bytes | mmap.mmap, limits: PickleLimits, start: int, persistent: bool) -> None:
+        self.data, self.limits, self.at, self.persistent = data, limits, start, persistent
         self.stack: list[int] = []
         self.marks: list[int] = []
         self.memo: dict[int, int] = {}
@@ -155,6 +156,10 @@ class _Scan:
                 self._put(int(text))
             else:
                 self.stack.append(self.memo[int(text)])
+        elif op == _BINPERSID and self.persistent:
+            self._pop(1)
+            self.stack.append(1)
+            self._count(_CONTAINER)
         elif op == _PROTO:
             self.at += 1
         elif op == _FRAME:
@@ -249,19 +254,27 @@ class _Scan:
             raise DataError("it has a key of very many parts, or a very long number as a key")
 
 
-def scan_pickle(data: bytes | mmap.mmap, limits: PickleLimits | None = None) -> None:
+def scan_pickle(
+    data: bytes | mmap.mmap, limits: PickleLimits | None = None, *, start: int = 0, persistent: bool = False
+) -> int:
     """Check that loading a pickle takes memory and time in proportion to its size.
 
     Args:
         data: the pickle.
         limits: what it may cost; None for the defaults.
+        start: where it begins.
+        persistent: whether it may name values that lie outside of it, as PyTorch's files do.
+
+    Returns:
+        where it ends.
 
     Raises:
         DataError: it costs more.
         EOFError, LookupError, ValueError: it is damaged, or has instructions that plain data does not need.
     """
-    scan = _Scan(data, limits or PickleLimits())
+    scan = _Scan(data, limits or PickleLimits(), start, persistent)
     try:
         scan.run()
     except IndexError:
         raise EOFError("pickle data was truncated") from None
+    return scan.at

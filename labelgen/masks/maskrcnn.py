@@ -24,6 +24,8 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from labelgen.errors import DataError, LabelgenError
 from labelgen.masks.coco import CLASS_BY_COCO_ID
 from labelgen.masks.instances import Crop, InstanceMasks, crop_mask
+from labelgen.torch_device import choose_device
+from labelgen.torch_file import first_not_finite, load_torch_file
 
 __all__ = ["MaskRcnnMasks"]
 
@@ -57,7 +59,7 @@ class MaskRcnnMasks:
     ) -> None:
         self.problems: list[str] = []
         self._score_threshold = score_threshold
-        self._device = _device(device)
+        self._device = choose_device(device)
         state = _download() if weights is None else _load(Path(weights))
         build = maskrcnn_resnet50_fpn_v2 if _V2_KEY in state else maskrcnn_resnet50_fpn
         model = build(weights=None, weights_backbone=None, num_classes=_COCO_CLASSES)
@@ -141,19 +143,6 @@ def _place(small: NDArray[np.float32], box_xyxy: NDArray[np.float32], frame_wh: 
     return crop_mask(cv2.warpAffine(small, matrix, size, flags=flags) >= _MASK_THRESHOLD, low)
 
 
-def _device(name: str | None) -> torch.device:
-    if name is None:
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise LabelgenError(
-            f"device {name}: not usable here ({_first_line(error)}); try cpu", parameter="device"
-        ) from None
-    return device
-
-
 def _download() -> dict[str, Any]:
     weights = MaskRCNN_ResNet50_FPN_V2_Weights.COCO_V1
     try:
@@ -167,22 +156,18 @@ def _download() -> dict[str, Any]:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise DataError(f"weights {path}: no such file", parameter="weights")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, ValueError, EOFError, KeyError, pickle.UnpicklingError):
-        # The reason that torch gives suggests to load the file unsafely.
-        raise DataError(
-            f"weights {path}: not a file of PyTorch tensors alone; save it with torch.save(model.state_dict(), FILE)",
-            parameter="weights",
-        ) from None
+    state = load_torch_file(path, f"weights {path}", parameter="weights")
     for key in ("state_dict", "model"):
         if isinstance(state, dict) and isinstance(state.get(key), dict):
             state = state[key]
     if not isinstance(state, dict) or not all(isinstance(v, torch.Tensor) for v in state.values()):
         raise DataError(
             f"weights {path}: not a state dict; save it with torch.save(model.state_dict(), FILE)", parameter="weights"
+        )
+    broken = first_not_finite(state)
+    if broken is not None:
+        raise DataError(
+            f"weights {path}: {broken} has values that are not finite; take another file", parameter="weights"
         )
     return {str(key).removeprefix("module."): value for key, value in state.items()}
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -139,7 +142,7 @@ def test_a_run_is_not_overwritten_without_the_option(trained: Path, shards: Path
     [
         (("--preset", "paper-640x360"), "but VP2-VP3 640x360 is wanted"),
         (("--preset", "huge"), "--preset huge: unknown"),
-        (("--weights", "missing.ckpt"), "checkpoint missing.ckpt"),
+        (("--weights", "missing.ckpt"), "weights missing.ckpt"),
         (("--resume",), "last.ckpt"),
     ],
 )
@@ -150,6 +153,145 @@ def test_training_errors_are_one_line(
     assert result.returncode == 2
     (line,) = [line for line in result.stderr.splitlines() if "labelgen: error" in line]
     assert message in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--device", "warp9"), "--device warp9: unknown; use one of auto, cpu, gpu, cuda, cuda:0, mps"),
+        (("--device", "cuda:99"), "--device cuda:99: this machine"),
+        (("--device", "cpu:0"), "--device cpu:0: unknown"),
+        (("--device", "cpu", "--precision", "fp16"), "--precision fp16: unknown; use one of 32-true"),
+        (("--device", "cpu", "--precision", "16-mixed"), "--precision 16-mixed: a CPU cannot train in it"),
+        (("--device", "cpu", "--devices", "0"), "--devices 0: expected a number from 1"),
+        (("--device", "cpu", "--devices", "many"), "--devices many: expected a number from 1"),
+        (("--device", "cpu", "--devices", "1000000"), "--devices 1000000: expected a number from 1"),
+        (("--device", "cpu", "--strategy", "deepspeed"), "--strategy deepspeed: not available here"),
+        (("--device", "cpu", "--strategy", "warp"), "--strategy warp: not available here"),
+        (("--device", "cpu", "--lr", "-1"), "--lr -1.0: expected a positive number"),
+        (("--device", "cpu", "--lr", "0"), "--lr 0.0: expected a positive number"),
+        (("--device", "cpu", "--lr", "nan"), "--lr nan: expected a positive number"),
+        (("--device", "cpu", "--lr", "inf"), "--lr inf: expected a positive number"),
+    ],
+)
+def test_a_machine_that_cannot_do_it_is_one_line(
+    shards: Path, tmp_path: Path, arguments: tuple[object, ...], message: str
+) -> None:
+    result = run_train(shards, "--out", tmp_path / "run", *arguments)
+    assert result.returncode == 2
+    (line,) = result.stderr.splitlines()
+    assert message in line
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["cuda", "gpu", "cuda:0", "mps"])
+def test_a_gpu_that_is_not_there_has_the_same_message_everywhere(shards: Path, trained: Path, name: str) -> None:
+    if torch.cuda.is_available() or torch.backends.mps.is_available():
+        pytest.skip("this machine has a GPU")
+    for arguments in (("train", shards, "--out", "x"), ("detect", trained / "last.ckpt", shards, "--out", "x")):
+        done = run_labelgen(*arguments, "--device", name)
+        assert done.returncode == 2
+        assert f"--device {name}: this machine has no such GPU" in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_diverging_run_stops_and_keeps_the_last_finite_checkpoint(
+    shards: Path, trained: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    settings = ("--preset", "small", "--device", "cpu", "--batch", 2, "--precision", "32-true", "--val", shards)
+    result = run_train(shards, "--out", out, *settings, "--epochs", 9, "--steps-per-epoch", 40, "--lr", "1e30")
+    assert result.returncode == 2
+    (line,) = [line for line in result.stderr.splitlines() if "labelgen: error" in line]
+    assert "training has diverged: " in line
+    assert "is not finite after step" in line
+    assert "--lr" in line
+    for path in out.glob("*.ckpt"):
+        assert all(value.isfinite().all() for value in weights(path).values())
+
+
+@pytest.mark.parametrize("command_of", ["detect", "export-model", "test-detector", "resume", "weights", "speed"])
+def test_weights_that_are_not_finite_are_refused(
+    shards: Path, trained: Path, tmp_path: Path, command_of: str, labelgen: Run
+) -> None:
+    data = read_checkpoint(trained / "last.ckpt")
+    next(value for value in data["state_dict"].values() if value.is_floating_point()).fill_(float("nan"))
+    run = tmp_path / "run"
+    run.mkdir()
+    bad = run / "last.ckpt"
+    torch.save(data, bad)
+    clip = write_clip(tmp_path / "clip", 3)
+    arguments: tuple[object, ...] = {
+        "detect": ("detect", bad, shards, "--out", tmp_path / "d", "--device", "cpu"),
+        "export-model": ("export-model", bad, "--out", tmp_path / "m.onnx"),
+        "test-detector": ("test-detector", bad, shards, "--device", "cpu"),
+        "resume": ("train", shards, "--out", run, "--val", shards, *SETTINGS, "--resume"),
+        "weights": ("train", shards, "--out", tmp_path / "new", *SETTINGS, "--weights", bad),
+        "speed": ("speed", clip, "--from", f"model:{bad}", "--device", "cpu", "--out", tmp_path / "s"),
+    }[command_of]
+    if command_of == "export-model":
+        pytest.importorskip("onnxscript")
+    done = labelgen(*arguments)
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if "labelgen: error" in line]
+    assert "not finite" in line, line
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs signals")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_ends_training_with_a_summary_and_its_exit_code(
+    shards: Path, tmp_path: Path, number: int, code: int
+) -> None:
+    out, report = tmp_path / "run", tmp_path / "report.json"
+    settings = ("--preset", "small", "--device", "cpu", "--batch", 2, "--epochs", 500, "--checkpoint-every", 1)
+    arguments = command("train", shards, "--out", out, *settings, "--json", report)
+    with subprocess.Popen(
+        arguments, cwd=REPOSITORY, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        while process.poll() is None and not (out / "last.ckpt").exists():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=0.01)
+        process.send_signal(number)
+        printed, _ = process.communicate(timeout=120)
+    assert process.returncode == code
+    assert "interrupted; the same command with --resume goes on" in printed
+    assert json.loads(report.read_text())["interrupted"] is True
+    assert read_checkpoint(out / "last.ckpt")["global_step"] > 0
+
+
+def test_checkpoints_are_written_in_the_run_folder_and_renamed(
+    shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder of temporary files that cannot be written does not matter."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    result = run_train(shards, "--out", tmp_path / "run", *SETTINGS)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "run" / "last.ckpt").is_file()
+    assert not list((tmp_path / "run").glob(".labelgen-*"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs limits of resources")
+def test_a_full_disk_leaves_the_old_checkpoint(shards: Path, trained: Path, tmp_path: Path) -> None:
+    """A limit of the size of files stands for the full disk."""
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "last.ckpt").write_bytes((trained / "last.ckpt").read_bytes())
+    before = (run / "last.ckpt").read_bytes()
+    code = (
+        "import resource, signal, sys\nfrom labelgen.cli.main import main\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))\nmain(sys.argv[1:])\n"
+    )
+    arguments = [str(a) for a in ("train", shards, "--out", run, *SETTINGS, "--overwrite")]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=REPOSITORY, env=environment(), capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "last.ckpt: file too large" in done.stderr
+    assert (run / "last.ckpt").read_bytes() == before
+    assert not list(run.glob(".labelgen-*"))
 
 
 def test_evaluating_on_shards(labelgen: Run, trained: Path, shards: Path, other_pair: Path, tmp_path: Path) -> None:

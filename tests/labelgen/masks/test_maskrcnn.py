@@ -87,7 +87,7 @@ def test_files_of_the_wrong_kind_are_refused(model: Any, tmp_path: Path) -> None
         "cut": (cut, r"6 keys missing \(such as rpn\..*1 unexpected \(such as extra.weight\)"),
         "classes": (small, r"with 91 classes: 1 of another shape \(such as roi_heads.box_predictor.cls_score.weight\)"),
         "list": ([torch.zeros(1)], "not a state dict"),
-        "evil": ({"x": Payload(tmp_path / "ran")}, "not a file of PyTorch tensors alone"),
+        "evil": ({"x": Payload(tmp_path / "ran")}, "not a whole file of PyTorch tensors"),
     }
     for name, (content, message) in cases.items():
         torch.save(content, tmp_path / f"{name}.pt")
@@ -96,7 +96,7 @@ def test_files_of_the_wrong_kind_are_refused(model: Any, tmp_path: Path) -> None
         assert "\n" not in str(caught.value)
     assert not (tmp_path / "ran").exists()
     (tmp_path / "text.pt").write_text("hello")
-    for name, message in (("text", "not a file of PyTorch tensors alone"), ("none", "no such file")):
+    for name, message in (("text", "not a whole file of PyTorch tensors"), ("none", "No such file")):
         with pytest.raises(DataError, match=message):
             create_mask_source("maskrcnn", weights=tmp_path / f"{name}.pt", device="cpu")
 
@@ -112,5 +112,5 @@ def test_no_download_names_the_alternatives(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_unusable_device_is_refused(weights: Path) -> None:
-    with pytest.raises(LabelgenError, match="device warp9: not usable here"):
+    with pytest.raises(LabelgenError, match="device warp9: unknown; use one of auto, cpu, gpu"):
         create_mask_source("maskrcnn", weights=weights, device="warp9")
