@@ -18,7 +18,6 @@ from labelgen.datasets.scene import SceneFiles
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
 from labelgen.media.frames import FrameSource
-from labelgen.media.open_frames import open_frames
 
 __all__ = ["CALIBRATION_NAME", "ROAD_MASK_NAME", "calibrate_with_scale", "complete_scene"]
 
@@ -68,8 +67,7 @@ def complete_scene(
 
 def _make(scene: SceneFiles, missing: set[str], scale: str, need_scale: bool) -> None:
     """Make what is missing of a scene, in one pass over its video."""
-    assert scene.frames_path is not None
-    frames = open_frames(scene.frames_path)
+    frames = scene.open_frames()
     if "calibration" in missing:
         calibration = calibrate_with_scale(frames, [scale], need_scale=need_scale)
         camera, observations = calibration.camera, calibration.observations

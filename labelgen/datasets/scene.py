@@ -49,6 +49,8 @@ class SceneFiles:
         fps: frame rate that the data set states; None where it states none.
         ground_truth_path: of a session, where it is there.
         missing: which of "calibration" and "road mask" were found nowhere; their paths mean nothing.
+        given_fps: frame rate that the user gives, for frames without time stamps that can be trusted.
+        stream: number of the video stream to use, from 0; None takes the largest.
     """
 
     name: str
@@ -60,6 +62,18 @@ class SceneFiles:
     fps: float | None = None
     ground_truth_path: Path | None = None
     missing: frozenset[str] = frozenset()
+    given_fps: float | None = None
+    stream: int | None = None
+
+    def open_frames(self) -> FrameSource:
+        """Open the frames alone.
+
+        Raises:
+            DataError: the video is not there, or cannot be read.
+        """
+        if self.frames_path is None:
+            raise DataError(f"{self.name}: its video is not there")
+        return open_frames(self.frames_path, fps=self.given_fps, stream=self.stream)
 
     def camera(self, image_wh: tuple[int, int]) -> Camera:
         """Return the calibration under the scene's name, for frames of `image_wh` px (width, height)."""
@@ -77,19 +91,19 @@ class SceneFiles:
         """Open the frames, the calibration, the road mask and, for a session, the lanes of its ground truth.
 
         Args:
-            fps: frames per second to use instead of the data set's, where frames carry no rate of their own.
+            fps: frames per second to use instead of `given_fps`.
 
         Raises:
             DataError: a file is missing or damaged, or the video is not there.
             CalibrationError: the calibration describes no camera above a road.
         """
-        if self.frames_path is None:
-            raise DataError(f"{self.name}: its video is not there")
-        frames = open_frames(self.frames_path)
+        files = self if fps is None else replace(self, given_fps=fps)
+        frames = files.open_frames()
         size = frames.size_wh
-        lane_lines, notes = read_lane_lines(self)
-        notes = (*self.size_notes(size), *notes)
-        return Scene(self, self.name, frames, self.camera(size), self.road(size), fps or self.fps, lane_lines, notes)
+        lane_lines, notes = read_lane_lines(files)
+        notes = (*files.size_notes(size), *notes)
+        rate = files.given_fps or files.fps
+        return Scene(files, files.name, frames, files.camera(size), files.road(size), rate, lane_lines, notes)
 
     def split_of(self, frame: int) -> Split:
         """Return the part of the published split C that a frame belongs to; NONE outside the data set."""
@@ -137,6 +151,7 @@ def open_stream(
     duration_s: float | None = None,
     stall_s: float = 30.0,
     fps: float | None = None,
+    stream: int | None = None,
 ) -> Scene:
     """Open a live camera.
 
@@ -145,7 +160,8 @@ def open_stream(
         calibration, road_mask: their files; a stream has nothing beside it.
         duration_s: stop after this many seconds; None goes on until the stream ends.
         stall_s: seconds without a frame after which the stream counts as broken.
-        fps: frames per second where the stream states none.
+        fps: frames per second of a stream without time stamps.
+        stream: number of the video stream to use, from 0; None takes the largest.
 
     Raises:
         DataError: a file is missing, or the stream cannot be opened.
@@ -158,11 +174,11 @@ def open_stream(
     # Find out what is wrong with the files before the camera is connected.
     RoadMask(read_mask(road_mask))
     Camera.load(calibration)
-    stream = VideoStream(url, duration_s=duration_s, stall_s=stall_s)
-    size = stream.size_wh
+    frames = VideoStream(url, duration_s=duration_s, stall_s=stall_s, fps=fps, stream=stream)
+    size = frames.size_wh
     road = RoadMask(read_mask(road_mask, image_wh=size))
     notes = _size_notes(calibration, road_mask, size)
-    return Scene(None, stream.name, stream, Camera.load(calibration, image_wh=size), road, fps, notes=notes)
+    return Scene(None, frames.name, frames, Camera.load(calibration, image_wh=size), road, fps, notes=notes)
 
 
 def is_session(folder: Path) -> bool:
@@ -178,6 +194,8 @@ def find_scene(
     road_mask: str | Path | None = None,
     need_frames: bool = True,
     may_lack: bool = False,
+    fps: float | None = None,
+    stream: int | None = None,
 ) -> SceneFiles:
     """Find what belongs to a video, image or session folder.
 
@@ -187,6 +205,7 @@ def find_scene(
         need_frames: whether a session without its video is an error.
         may_lack: whether a calibration or road mask that is found nowhere is named in `SceneFiles.missing` rather
             than being an error.
+        fps, stream: `SceneFiles.given_fps` and `SceneFiles.stream`.
 
     Raises:
         DataError: no such input, or something is missing; names everything that is, and where it was looked for.
@@ -200,7 +219,7 @@ def find_scene(
     if reasons:
         parameters = tuple(name.replace(" ", "_") for name in reasons if name in given)
         raise DataError(f"{path}: {'; '.join(reasons.values())}", parameter=parameters)
-    return replace(scene, missing=frozenset(lacking))
+    return replace(scene, missing=frozenset(lacking), given_fps=fps, stream=stream)
 
 
 def _find(

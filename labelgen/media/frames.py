@@ -25,15 +25,22 @@ class Frame:
 
     Args:
         number: position in the source, from 0.
-        time_s: its own time stamp relative to that of the first frame, s; NaN in a folder of images.
+        time_s: its time since the first frame, s; NaN where the source has neither time stamps nor a frame rate.
         image: (H, W, 3) uint8 BGR.
         name: file name in a folder of images, relative to it; empty in a video.
+        gaps_s: how much of its time lies in gaps of the recording, s.
     """
 
     number: int
     time_s: float
     image: NDArray[np.uint8]
     name: str = ""
+    gaps_s: float = 0.0
+
+    @property
+    def shown_s(self) -> float:
+        """How much of the recording was shown before this frame, s: its time without gaps."""
+        return self.time_s - self.gaps_s
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
@@ -69,10 +76,11 @@ class FrameSource(Protocol):
     Attributes:
         name: short name for messages and outputs, without the file's suffix.
         path: the video file or the folder; for a stream a relative path made of the last part of its address.
-        size_wh: px, after the rotation that the file asks for.
+        size_wh: px, of upright frames with square pixels.
         frame_count: number of frames that the file announces, which may be wrong; None where none is announced.
-        fps: average announced frame rate; None where there is none.
+        fps: frames per second, as given, announced or measured; None where nothing says it.
         is_live: whether the frames come once, as a camera sends them. Other sources can be read again.
+        notes: what was assumed or applied when the source was opened, one line each.
         problems: what the last iteration skipped or could not read, one line each.
         failure: why the last iteration of a stream broke off; None for files and where nothing broke off.
     """
@@ -89,6 +97,8 @@ class FrameSource(Protocol):
     def fps(self) -> float | None: ...
     @property
     def is_live(self) -> bool: ...
+    @property
+    def notes(self) -> list[str]: ...
     @property
     def problems(self) -> list[str]: ...
     @property
@@ -118,7 +128,7 @@ class LazyFrame(Frame):
     """A frame whose picture is converted when it is first read.
 
     Args:
-        number, time_s: as in `Frame`.
+        number, time_s, gaps_s: as in `Frame`.
         convert: returns the picture, (H, W, 3) uint8 BGR.
         read_grey: returns the grey levels downscaled by a factor, (H // factor, W // factor) uint8; None where they
             must be computed from the colours.
@@ -130,9 +140,11 @@ class LazyFrame(Frame):
         time_s: float,
         convert: Callable[[], Picture],
         read_grey: Callable[[int], Picture | None],
+        gaps_s: float = 0.0,
     ) -> None:
         # `Frame` is frozen, so its fields cannot be assigned.
-        self.__dict__.update(number=number, time_s=time_s, name="", _convert=convert, _read_grey=read_grey)
+        self.__dict__.update(number=number, time_s=time_s, name="", gaps_s=gaps_s)
+        self.__dict__.update(_convert=convert, _read_grey=read_grey)
 
     @cached_property
     def image(self) -> Picture:

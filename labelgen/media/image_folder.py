@@ -30,6 +30,7 @@ class ImageFolder:
 
     Args:
         path: the folder.
+        fps: frames per second; without it frames have no time.
 
     Attributes:
         file_names: names of the image files, in natural order.
@@ -41,10 +42,11 @@ class ImageFolder:
     is_live = False
     failure: Exception | None = None
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, fps: float | None = None) -> None:
         self.path = Path(path)
         self.name = self.path.resolve().name
-        self.fps: float | None = None
+        self.fps = fps
+        self.notes: list[str] = []
         self.problems: list[str] = []
         try:
             names = [p.name for p in self.path.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file()]
@@ -82,4 +84,4 @@ class ImageFolder:
                 now, was = (f"{w}x{h}" for w, h in ((image.shape[1], image.shape[0]), self.size_wh))
                 self.problems.append(f"{name}: {now} px instead of the first image's {was}, skipped")
             else:
-                yield Frame(number, math.nan, image, name)
+                yield Frame(number, number / self.fps if self.fps else math.nan, image, name)

@@ -19,13 +19,24 @@ class KeyframeSeek:
 
     Attributes:
         skipped_packets: number of packets skipped so far, of one frame each.
-        resumed_s: time of the key frame at which decoding last resumed, s; frames before it may be damaged.
+        resumed_s: time of the key frame at which decoding last resumed, s.
     """
 
     def __init__(self, not_before_s: Callable[[], float], *, lookahead_s: float = 10.0) -> None:
         self._not_before_s, self._lookahead_s = not_before_s, lookahead_s
         self.skipped_packets = 0
         self.resumed_s = -math.inf
+        self._resumed_pts: int | None = None
+
+    def is_leading(self, pts: int | None) -> bool:
+        """Return whether a decoded frame is shown before the key frame at which decoding resumed: it may be damaged.
+
+        Args:
+            pts: time stamp of the frame; frames are asked about in the order in which they are shown.
+        """
+        if self._resumed_pts is not None and (pts is None or pts >= self._resumed_pts):
+            self._resumed_pts = None
+        return self._resumed_pts is not None
 
     def needed(self, packets: Iterator[Any], time_of: Callable[[Any], float]) -> Iterator[Any]:
         """Yield the packets to decode, in order.
@@ -51,5 +62,5 @@ class KeyframeSeek:
                     break
             if resume_at:
                 self.skipped_packets += resume_at
-                self.resumed_s = time_of(held[resume_at])
+                self.resumed_s, self._resumed_pts = time_of(held[resume_at]), held[resume_at].pts
             yield from held[resume_at:]

@@ -22,7 +22,7 @@ class TimedFrames:
     Args:
         frames: a file, a folder or a stream.
         fps: frame rate for frames that have no time stamps of their own; None where none is known.
-        duration_s: frames at or after this time are left out, s; None takes all.
+        duration_s: length of the recording's beginning to use, s, not counting its gaps; None takes all.
         lead_in: called once with the iterator of frames before the first one is yielded; frames it consumes are not
             yielded. This is how a background model is primed on a stream, which cannot be read twice.
     """
@@ -62,6 +62,11 @@ class TimedFrames:
         return limit if count is None else min(count, limit)
 
     @property
+    def notes(self) -> list[str]:
+        """Notes of the source."""
+        return self._frames.notes
+
+    @property
     def problems(self) -> list[str]:
         """Problems of the source."""
         return self._frames.problems
@@ -98,6 +103,6 @@ class TimedFrames:
                         parameter="fps",
                     )
                 frame = Frame(frame.number, frame.number / self.fps, frame.image, frame.name)
-            if self._duration_s is not None and frame.time_s >= self._duration_s:
+            if self._duration_s is not None and frame.shown_s >= self._duration_s:
                 return
             yield frame

@@ -5,10 +5,11 @@ OpenCV's reader is not used: it aborts the process on some valid files, and its 
 
 from __future__ import annotations
 
-import math
+import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,15 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
+from labelgen.media.counted import many
+from labelgen.media.damaged_file import why_unreadable
+from labelgen.media.file_names import ffmpeg_name
+from labelgen.media.file_stamps import ClockCarry, FileStamps
+from labelgen.media.frame_clock import FrameClock, TimedItem
+from labelgen.media.frame_geometry import FrameGeometry
 from labelgen.media.frames import Frame, LazyFrame, always, downscale
 from labelgen.media.keyframe_seek import KeyframeSeek
+from labelgen.media.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
 
 __all__ = ["VideoFile"]
 
@@ -36,42 +44,56 @@ _COUNT_SLACK = (3, 0.02)
 _LUMA_FORMATS = {f"yuv{full}{rate}p" for full in ("", "j") for rate in (420, 422, 444)} | {"nv12"}
 _FULL_RANGE = 2
 _TO_FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
-_ROTATIONS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
+# Packets whose stamps are looked at when a file is opened.
+_PROBE_PACKETS = 64
 
 
 class VideoFile:
     """A video file as a `labelgen.media.frames.FrameSource`.
 
     Args:
-        path: any file FFmpeg reads; its first real video stream is used.
+        path: any file FFmpeg reads.
         threads: decoding threads; 0 leaves it to the decoder.
+        fps: frames per second; used where the file holds no time stamps, or none that can be trusted.
+        stream: number of the video stream to use, from 0, not counting cover pictures; None takes the largest.
 
     Raises:
-        DataError: the file is missing, empty, no video, without a video stream, or without one readable frame.
+        DataError: the file is missing, empty, no video, without a (or this) video stream, or without one readable
+            frame.
     """
 
     is_live = False
     failure: Exception | None = None
 
-    def __init__(self, path: str | Path, *, threads: int = 0) -> None:
+    def __init__(
+        self, path: str | Path, *, threads: int = 0, fps: float | None = None, stream: int | None = None
+    ) -> None:
         self.path = Path(path)
         self.name = self.path.stem
+        self.notes: list[str] = []
         self.problems: list[str] = []
-        self._threads = threads
+        self._threads, self._wanted_stream = threads, stream
+        name = ffmpeg_name(self.path)  # refuses names that no file has
         if not self.path.is_file():
             raise DataError(f"{self.path}: no such video file")
         if self.path.stat().st_size == 0:
             raise DataError(f"{self.path}: the file is empty; copy it again")
+        self._ffmpeg_name = name
         with self._open() as container:
-            stream = self._stream(container)
-            self.fps = _positive(stream.average_rate) or _positive(stream.guessed_rate)
-            self.frame_count, self._count_is_exact = _announced(stream, container, self.fps)
-            first = next(self._decode(container.demux(stream), stream, _ProblemCounts()), None)
-            if first is None:
-                raise DataError(f"{self.path}: no frame of it can be decoded; the file is damaged or cut off")
+            video = self._stream(container)
+            first, stamps = self._probe(container, video)
+            self._stamps = FileStamps.of(container, video, stamps, fps, first.pts)
+            self.fps = self._stamps.fps
+            self.frame_count, self._count_is_exact = _announced(video, container, self.fps)
             self._coded_wh = (int(first.width), int(first.height))
-            self._degrees = _rotation(first)
-            self.size_wh = self._coded_wh[::-1] if self._degrees in (90, 270) else self._coded_wh
+            self._geometry = FrameGeometry.of(self._coded_wh, video.sample_aspect_ratio, display_matrix(first))
+            self.size_wh = self._geometry.size_wh
+            streams = _real_streams(container)
+            if len(streams) > 1:
+                self.notes.append(stream_note(len(streams), streams.index(video), video, chosen=stream is not None))
+            self.notes += [note for note in (self._geometry.note, self._stamps.note) if note]
+            if first.interlaced_frame:
+                self.notes.append(INTERLACED)
 
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
@@ -82,72 +104,116 @@ class VideoFile:
         """
         reformatter = av.video.reformatter.VideoReformatter()
         if not_before_s is None:
-            for number, time_s, decoded in self._pass(None):
+            for number, time_s, gaps_s, decoded in self._pass(None):
                 if wanted(number):
-                    yield Frame(number, time_s, self._image(decoded, reformatter))
+                    yield Frame(number, time_s, self._image(decoded, reformatter), "", gaps_s)
             return
-        seek = KeyframeSeek(not_before_s)
-        for number, time_s, decoded in self._pass(seek):
-            if wanted(number) and not time_s < seek.resumed_s:
+        # Without time stamps nothing says which packets may be skipped.
+        seek = KeyframeSeek(not_before_s) if self._stamps.are_times else None
+        for number, time_s, gaps_s, decoded in self._pass(seek):
+            if wanted(number):
                 convert, read_grey = partial(self._image, decoded, reformatter), partial(self._grey, decoded)
-                yield LazyFrame(number, time_s, convert, read_grey)
+                yield LazyFrame(number, time_s, convert, read_grey, gaps_s)
 
-    def _pass(self, seek: KeyframeSeek | None) -> Iterator[tuple[int, float, Any]]:
-        """Yield number, time in s and decoder's frame of every frame that one pass over the file decodes."""
+    def _pass(self, seek: KeyframeSeek | None) -> Iterator[TimedItem[Any]]:
+        """Yield the decoder's frames of one pass over the file, with number and time."""
         self.problems = []
         counts = _ProblemCounts()
-        first_pts: int | None = None
-        latest = -math.inf
-        number = -1
+        clock = FrameClock(1 / self.fps if self.fps else None)
+        last, finished = -1, False
         with self._open() as container:
             stream = self._stream(container)
-            base = float(stream.time_base) if stream.time_base else math.nan
 
-            def time_of(thing: Any) -> float:
-                return math.nan if thing.pts is None or first_pts is None else (thing.pts - first_pts) * base
+            def decoded_frames() -> Iterator[tuple[int, float, Any]]:
+                nonlocal last, finished
+                packets = self._without_restarts(container.demux(stream))
+                if seek is not None:
+                    packets = seek.needed(packets, lambda packet: self._stamps.since_start_s(packet.pts))
+                for count, decoded in enumerate(self._decode(packets, stream, counts)):
+                    last = number = count + (seek.skipped_packets if seek is not None else 0)
+                    if (decoded.width, decoded.height) != self._coded_wh:
+                        counts.other_size(number, (decoded.width, decoded.height))
+                    elif seek is None or not seek.is_leading(decoded.pts):
+                        yield number, self._stamps.time_s(decoded.pts, number), decoded
+                finished = True
 
-            packets = container.demux(stream)
-            if seek is not None:
-                packets = seek.needed(packets, time_of)
-            for count, decoded in enumerate(self._decode(packets, stream, counts)):
-                number = count + (seek.skipped_packets if seek is not None else 0)
-                if number == 0:
-                    first_pts = decoded.pts
-                if (decoded.width, decoded.height) != self._coded_wh:
-                    counts.other_size(number, (decoded.width, decoded.height))
-                    continue
-                time_s = time_of(decoded)
-                if math.isnan(time_s) and self.fps:
-                    time_s = number / self.fps
-                counts.backwards += time_s < latest
-                latest = max(latest, time_s)
-                yield number, time_s, decoded
-        self.problems = counts.problems(number + 1, self.frame_count, self._count_is_exact, self.size_wh)
+            try:
+                if self._stamps.are_times:
+                    yield from clock.timed(decoded_frames())
+                else:
+                    for number, time_s, decoded in decoded_frames():
+                        yield TimedItem(number, time_s, 0.0, decoded)
+            finally:
+                announced = self.frame_count if finished else None
+                self.problems = [
+                    *counts.problems(last + 1, announced, self._count_is_exact, self.size_wh), *clock.problems()
+                ]  # fmt: skip
+
+    def _without_restarts(self, packets: Iterator[Any]) -> Iterator[Any]:
+        """Yield packets; where their clock starts anew, as in recordings put together, shift the stamps to go on."""
+        if not self._stamps.are_times:
+            yield from packets
+            return
+        carry = ClockCarry(self._stamps.base_s, 1 / self.fps if self.fps else 0.04)
+        coming = iter(packets)
+        packet = next(coming, None)
+        while packet is not None:
+            held: list[Any] = []
+            if carry.jumps_back(packet.pts):
+                # A single stamp out of line is no restart; the next packet tells.
+                held = [following for following in [next(coming, None)] if following is not None]
+                carry.restart(packet.pts, held[0].pts if held else None)
+            for one in (packet, *held):
+                carry.shift(one)
+                yield one
+            packet = next(coming, None)
+
+    def _probe(self, container: Any, stream: Any) -> tuple[Any, list[int]]:
+        """Return the first frame that can be decoded, and the stamps of the first packets, sorted."""
+        stamps: list[int] = []
+
+        def noted() -> Iterator[Any]:
+            for packet in container.demux(stream):
+                if packet.pts is not None:
+                    stamps.append(packet.pts)
+                yield packet
+
+        packets = noted()
+        first = next(self._decode(packets, stream, _ProblemCounts()), None)
+        if first is None:
+            raise DataError(f"{self.path}: no frame of it can be decoded; the file is damaged or cut off")
+        with contextlib.suppress(FFmpegError, EOFError):
+            for _ in islice(packets, max(0, _PROBE_PACKETS - len(stamps))):
+                pass
+        return first, sorted(stamps)
 
     def _open(self) -> AbstractContextManager[Any]:
         try:
-            # The prefix keeps a colon in the path from being read as a protocol.
             container: AbstractContextManager[Any] = av.open(
-                f"file:{self.path}", options=_OPEN_OPTIONS, metadata_errors="replace"
+                self._ffmpeg_name, options=_OPEN_OPTIONS, metadata_errors="replace"
             )
         except (av.error.InvalidDataError, av.error.ArgumentError):
-            raise DataError(f"{self.path}: not a video file, or one damaged at its beginning") from None
+            raise DataError(f"{self.path}: {why_unreadable(self.path)}") from None
         except FFmpegError as error:
             reason = (error.strerror or type(error).__name__).lower()
             raise DataError(f"{self.path}: the video cannot be opened ({reason})") from None
         return container
 
     def _stream(self, container: Any) -> Any:
-        pictures = av.stream.Disposition.attached_pic
-        streams = [s for s in container.streams.video if not s.disposition & pictures]
+        streams = _real_streams(container)
         if not streams:
             kinds = ", ".join(sorted({s.type for s in container.streams})) or "no"
             raise DataError(f"{self.path}: it holds no video stream ({kinds} streams only)")
-        if streams[0].codec_context is None:
+        wanted = self._wanted_stream
+        if wanted is not None and not 0 <= wanted < len(streams):
+            numbers = "0" if len(streams) == 1 else f"0 to {len(streams) - 1}"
+            raise DataError(f"stream {wanted}: {self.path} has video streams {numbers}", parameter="stream")
+        stream = streams[wanted] if wanted is not None else max(streams, key=pixel_count)
+        if stream.codec_context is None:
             raise DataError(f"{self.path}: its video codec is not known to this FFmpeg; convert the file to H.264")
-        streams[0].thread_type = "AUTO"
-        streams[0].codec_context.thread_count = self._threads
-        return streams[0]
+        stream.thread_type = "AUTO"
+        stream.codec_context.thread_count = self._threads
+        return stream
 
     def _decode(self, packets: Iterator[Any], stream: Any, counts: _ProblemCounts) -> Iterator[Any]:
         """Yield frames as FFmpeg decodes them; count damaged packets and a broken end."""
@@ -175,7 +241,7 @@ class VideoFile:
 
     def _image(self, decoded: Any, reformatter: Any) -> NDArray[np.uint8]:
         image = reformatter.reformat(decoded, format="bgr24", threads=self._threads or None).to_ndarray()
-        return _rotate(image, self._degrees)
+        return self._geometry.apply(image)
 
     def _grey(self, decoded: Any, factor: int) -> NDArray[np.uint8] | None:
         """Return the decoder's luma, downscaled and in full range; None where it has no luma plane of 8 bits."""
@@ -183,10 +249,12 @@ class VideoFile:
             return None
         plane = decoded.planes[0]
         grey = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: decoded.height, : decoded.width]
+        if self._geometry.resamples:
+            grey = self._geometry.apply(np.ascontiguousarray(grey))
         grey = downscale(grey, factor)
         if decoded.color_range != _FULL_RANGE and not decoded.format.name.startswith("yuvj"):
             grey = np.asarray(cv2.LUT(grey, _TO_FULL_RANGE), dtype=np.uint8)
-        return _rotate(grey, self._degrees)
+        return grey if self._geometry.resamples else self._geometry.apply(grey)
 
 
 class _ProblemCounts:
@@ -194,7 +262,6 @@ class _ProblemCounts:
 
     def __init__(self) -> None:
         self.end: str | None = None
-        self.backwards = 0
         self._packets = self._frames = self._sizes = 0
         self._first_packet = self._first_frame = self._first_size = 0
         self._other_wh = (0, 0)
@@ -227,26 +294,16 @@ class _ProblemCounts:
         if self.end is not None:
             lines.append(f"reading stopped after frame {count - 1}: {self.end.lower()}")
         if self._packets:
-            lines.append(f"{_many(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
+            lines.append(f"{many(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
         if self._frames:
-            lines.append(f"{_many(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})")
+            lines.append(f"{many(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})")
         if self._sizes:
             new, old = ("{}x{}".format(*wh) for wh in (self._other_wh, size_wh))
             lines.append(
-                f"{_many(self._sizes, 'frame')} of another size skipped (first: frame {self._first_size}, "
+                f"{many(self._sizes, 'frame')} of another size skipped (first: frame {self._first_size}, "
                 f"{new} instead of {old})"
             )
-        if self.backwards:
-            lines.append(f"{_many(self.backwards, 'time stamp')} before an earlier frame's")
         return lines
-
-
-def _many(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
-def _positive(rate: Any) -> float | None:
-    return float(rate) if rate is not None and rate > 0 else None
 
 
 def _announced(stream: Any, container: Any, fps: float | None) -> tuple[int | None, bool]:
@@ -263,11 +320,7 @@ def _announced(stream: Any, container: Any, fps: float | None) -> tuple[int | No
     return max(1, round(seconds * fps)), False
 
 
-def _rotation(decoded: Any) -> int:
-    """Return the rotation that the file asks for, degrees counter-clockwise: 0, 90, 180 or 270."""
-    return round(int(decoded.rotation) / 90) * 90 % 360
-
-
-def _rotate(picture: NDArray[np.uint8], degrees: int) -> NDArray[np.uint8]:
-    """Rotate a picture (H, W[, C]) counter-clockwise by 0, 90, 180 or 270 degrees."""
-    return np.ascontiguousarray(cv2.rotate(picture, _ROTATIONS[degrees]) if degrees else picture)
+def _real_streams(container: Any) -> list[Any]:
+    """Return the video streams that are no cover pictures."""
+    pictures = av.stream.Disposition.attached_pic
+    return [stream for stream in container.streams.video if not stream.disposition & pictures]

@@ -4,23 +4,42 @@ from __future__ import annotations
 
 import http.server
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
 @contextmanager
-def serve_stream(data: bytes, *, stall: bool = False) -> Iterator[str]:
-    """URL under which `data` (MPEG-TS) comes; with `stall` the connection then stays open and silent."""
+def serve_stream(
+    data: bytes | Sequence[bytes],
+    *,
+    stall: bool = False,
+    announced: int | None = None,
+    kind: str = "video/mp2t",
+    every_s: float = 0.0,
+) -> Iterator[str]:
+    """URL under which `data` comes, in pieces every so many seconds if so asked.
+
+    With `stall` the connection then stays open and silent. `announced` is the length that the server states; a
+    transfer without one, or of fewer bytes, counts as cut short.
+    """
+    pieces = [data] if isinstance(data, bytes) else data
     over = threading.Event()
 
     class Camera(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.send_response(200)
-            self.send_header("Content-Type", "video/mp2t")
+            self.send_header("Content-Type", kind)
+            if announced is not None:
+                self.send_header("Content-Length", str(announced))
             self.end_headers()
+            begun_s = time.monotonic()
             try:
-                self.wfile.write(data)
-                self.wfile.flush()
+                for number, piece in enumerate(pieces):
+                    if over.wait(max(0.0, begun_s + number * every_s - time.monotonic())):
+                        return
+                    self.wfile.write(piece)
+                    self.wfile.flush()
             except OSError:
                 return  # the reader has left
             if stall:

@@ -39,7 +39,8 @@ def test_what_is_a_stream(source: str, expected: bool) -> None:
 
 
 def test_a_stream_that_ends(tmp_path: Path) -> None:
-    with serve_stream(recording(tmp_path / "a.ts", STEADY)) as url:
+    data = recording(tmp_path / "a.ts", STEADY)
+    with serve_stream(data, announced=len(data)) as url:
         stream = VideoStream(url, duration_s=60, stall_s=5)
         frames = list(stream.frames())
     assert (stream.size_wh, stream.name, stream.frame_count) == ((64, 48), "camera", None)
