@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 
@@ -11,13 +12,14 @@ from detector.inference import Detector
 from detector.speed.contact_point import MaskExtent
 from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
+from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskDetections, MaskPlacer
 from detector.speed.measurement import MeasurementView
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import FrameDetections, detect, with_frames
 from detector.speed.variant import Variant
 from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
-from labelgen.errors import LabelgenError
+from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Rule
 from labelgen.geometry.homography import Array
 from labelgen.masks import (
@@ -34,7 +36,6 @@ from labelgen.masks import (
 from labelgen.masks.background.source import BackgroundMasks
 from labelgen.masks.gated import GatedMasks
 from labelgen.media.frames import Frame, FrameSource
-from labelgen.media.open_frames import open_frames
 from labelgen.media.timed_frames import TimedFrames
 
 __all__ = ["MaskSpeedSettings", "SpeedJob", "job_from_file", "job_from_masks", "job_from_model"]
@@ -127,7 +128,7 @@ class SpeedJob:
 
     def problems(self) -> list[str]:
         """Return what had to be skipped, one line each."""
-        frames = self.frames.problems if self.frames is not None else []
+        frames = [*self.frames.notes, *self.frames.problems] if self.frames is not None else []
         source = self.source.problems if self.source is not None else []
         return [*self.notes, *frames, *source]
 
@@ -220,18 +221,28 @@ def job_from_file(
     """
     view = file.view(scene.camera(file.frame_wh))
     fps = file.fps or fps or scene.fps
+    timed = replace(file, fps=fps)
     pictures = with_pictures and scene.frames_path is not None
-    frames = TimedFrames(open_frames(scene.frames_path), fps=fps) if pictures and scene.frames_path else None
+    frames = TimedFrames(scene.open_frames(), fps=fps) if pictures and scene.frames_path else None
     lane_lines, notes = read_lane_lines(scene)
     doubt = view.camera.size_doubt()
     notes = (*([doubt] if doubt else []), *notes)
 
     def detections() -> Iterator[FrameDetections]:
-        lines = file.frames(view)
+        lines = _with_times(timed.frames(view), file.path)
         kept = lines if duration_s is None else takewhile(lambda line: not line.time_s >= duration_s, lines)
         return with_frames(kept, frames)
 
     return SpeedJob(scene.name, view, fps, frames, None, detections, None, lane_lines, notes)
+
+
+def _with_times(lines: Iterator[Detections], path: Path) -> Iterator[Detections]:
+    for line in lines:
+        if not math.isfinite(line.time_s):
+            raise DataError(
+                f"{path}: frame {line.frame} has no time, so there are no speeds; give fps", parameter="fps"
+            )
+        yield line
 
 
 def _job(

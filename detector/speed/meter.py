@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import math
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +18,10 @@ from labelgen.geometry import Camera
 from labelgen.geometry.homography import Array
 
 __all__ = ["MeasureRules", "SpeedMeter"]
+
+_TOO_FEW = "too few points"
+# Number of last steps from frame to frame that give the frame rate.
+_STEPS = 200
 
 IntArray = NDArray[np.int64]
 
@@ -39,6 +44,8 @@ class MeasureRules:
             changed from one vehicle to another: boxes of vehicles that are close together merge. The longest part
             between such jumps counts. A smaller value also cuts tracks with inaccurate boxes.
         jump_kmh: km/h, see `jump_m`; higher than any speed on a road.
+        low_fps: frames per second below which vehicles may pass between two frames: it is told where most tracks are
+            dropped for too few points.
         track: thresholds of the tracker.
     """
 
@@ -47,6 +54,7 @@ class MeasureRules:
     min_length_px: float = 100.0
     jump_m: float = 5.0
     jump_kmh: float = 300.0
+    low_fps: float = 8.0
     track: TrackRules = field(default_factory=TrackRules)
 
     @classmethod
@@ -69,7 +77,7 @@ class SpeedMeter:
 
     Args:
         camera: with a scale and the size of the frame.
-        fps: frames per second, to count missing frames by their time stamps; None counts by frame numbers.
+        fps: frames per second, to count missing frames by their times; None takes it from the times.
         rules: thresholds; the published ones for this size of the frame where left out.
         lane_lines: (L, 3) homogeneous lines between the lanes, frame px.
 
@@ -97,7 +105,9 @@ class SpeedMeter:
         self._camera, self._fps, self._lane_lines = camera, fps, lane_lines
         self._tracker = IouTracker(self.rules.track)
         self._tracks: dict[int, TrackPoints] = {}
-        self._tick = -1
+        self._tick, self._last_s = -1, math.nan
+        self._steps_s: deque[float] = deque(maxlen=_STEPS)
+        self._measured = 0
 
     def add(self, detections: Detections) -> tuple[IntArray, list[MeasuredVehicle]]:
         """Track the detections of the next frame.
@@ -109,10 +119,7 @@ class SpeedMeter:
             ids (N,), the track of each detection, -1 for duplicates and parts of larger boxes; and the vehicles whose
             tracks have ended.
         """
-        tick = detections.frame
-        if self._fps is not None and np.isfinite(detections.time_s):
-            tick = round(detections.time_s * self._fps)
-        self._tick = max(tick, self._tick + 1)
+        self._tick = max(self._next_tick(detections), self._tick + 1)
         ids = np.full(len(detections), DUPLICATE, dtype=np.int64)
         single = ~inside_larger_box(detections)
         ids[single], ended = self._tracker.update(self._tick, detections.boxes_xyxy[single], detections.scores[single])
@@ -131,6 +138,31 @@ class SpeedMeter:
                 points.class_ids.append(int(detections.class_ids[i]))
                 points.scores.append(float(detections.scores[i]))
         return ids, self._measure(ended)
+
+    def _next_tick(self, detections: Detections) -> int:
+        """Return the number of the frame counting those that are missing."""
+        time_s, step_s = detections.time_s, detections.time_s - self._last_s
+        self._last_s = time_s
+        if step_s > 0:
+            self._steps_s.append(step_s)
+        if not math.isfinite(time_s):
+            return detections.frame
+        if self._fps is not None:
+            return round(time_s * self._fps)
+        if not step_s > 0:
+            return self._tick + 1
+        return self._tick + round(step_s / float(np.median(self._steps_s)))
+
+    def problems(self) -> list[str]:
+        """Return what makes the figures doubtful, one line each."""
+        fps = 1 / float(np.median(self._steps_s)) if self._steps_s else math.inf
+        too_few = self.dropped[_TOO_FEW]
+        if fps >= self.rules.low_fps or too_few <= self._measured:
+            return []
+        return [
+            f"{too_few} tracks have fewer than {self.rules.min_points} points: at {fps:.2g} frames per second vehicles "
+            f"are seen too seldom to be followed; use a video of {self.rules.low_fps:g} or more"
+        ]
 
     def finish(self) -> list[MeasuredVehicle]:
         """End all tracks and return their vehicles."""
@@ -159,6 +191,7 @@ class SpeedMeter:
             if reason:
                 self.dropped[reason] += 1
             else:
+                self._measured += 1
                 vehicles.append(measure_track(number, points, self._camera, self._lane_lines))
         return vehicles
 
@@ -176,6 +209,6 @@ class SpeedMeter:
     def _drop_reason(self, points: TrackPoints) -> str:
         """Return why a track is dropped; empty for a track that counts."""
         if len(points.frames) < self.rules.min_points:
-            return "too few points"
+            return _TOO_FEW
         length = float(np.linalg.norm(points.contact_points_px[-1] - points.contact_points_px[0]))
         return "" if length > self.rules.min_length_px else "too short"

@@ -17,6 +17,7 @@ from labelgen.calibration.scale.methods import parse_scale_method
 from labelgen.datasets.scene import SceneFiles
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera
+from labelgen.media.frame_notes import frame_notes
 from labelgen.media.frames import FrameSource
 
 __all__ = ["CALIBRATION_NAME", "ROAD_MASK_NAME", "calibrate_with_scale", "complete_scene"]
@@ -68,6 +69,11 @@ def complete_scene(
 def _make(scene: SceneFiles, missing: set[str], scale: str, need_scale: bool) -> None:
     """Make what is missing of a scene, in one pass over its video."""
     frames = scene.open_frames()
+    with frame_notes(frames):
+        _make_from(frames, scene, missing, scale, need_scale)
+
+
+def _make_from(frames: FrameSource, scene: SceneFiles, missing: set[str], scale: str, need_scale: bool) -> None:
     if "calibration" in missing:
         calibration = calibrate_with_scale(frames, [scale], need_scale=need_scale)
         camera, observations = calibration.camera, calibration.observations

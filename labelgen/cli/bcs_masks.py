@@ -12,6 +12,7 @@ from labelgen.cli.options import (
     CalibrationOption,
     ClassesOption,
     FirstFrameOption,
+    FpsOption,
     JsonOption,
     OverwriteOption,
     PairOption,
@@ -20,6 +21,7 @@ from labelgen.cli.options import (
     RuleOption,
     ScaleMasksOption,
     SceneSizeOption,
+    StreamOption,
     WorkersOption,
     check_report_path,
     coco_options,
@@ -75,6 +77,8 @@ def bcs_masks(
     device: Annotated[
         str | None, typer.Option("--device", help="Torch device; the GPU when there is one, by default.")
     ] = None,
+    fps: FpsOption = None,
+    stream: StreamOption = None,
     per_shard: Annotated[int, typer.Option("--per-shard", min=1, help="Taken frames in a shard.")] = 500,
     quality: QualityOption = 95,
     workers: WorkersOption = 1,
@@ -104,7 +108,10 @@ def bcs_masks(
         masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device, coco=coco
     )
     # What is wrong with any input is found out before the first one is calibrated.
-    scenes = [find_scene(path, calibration=calibration, road_mask=road_mask, may_lack=True) for path in inputs]
+    scenes = [
+        find_scene(path, calibration=calibration, road_mask=road_mask, may_lack=True, fps=fps, stream=stream)
+        for path in inputs
+    ]
     if out is None:
         if len(scenes) > 1:
             raise LabelgenError("several inputs: name the folder for their common shards", parameter="out")

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.cli.options import (
+    FpsOption,
     JsonOption,
     OverwriteOption,
+    StreamOption,
     check_new_file,
     check_report_path,
     picture_suffix,
@@ -51,6 +53,8 @@ def calibrate(
     pp: Annotated[
         str | None, typer.Option("--pp", metavar="X,Y", help="Principal point, px; by default the picture's middle.")
     ] = None,
+    fps: FpsOption = None,
+    stream: StreamOption = None,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -60,6 +64,7 @@ def calibrate(
     """
     from labelgen.atomic_files import make_folder, write_json
     from labelgen.calibration.complete_scene import calibrate_with_scale
+    from labelgen.media.frame_notes import frame_notes
     from labelgen.media.open_frames import open_frames
 
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
@@ -69,14 +74,11 @@ def calibrate(
     if picture is not None:
         picture_suffix("--picture", picture)
     principal_point = _point(pp)
-    frames = open_frames(video)
-    calibration = calibrate_with_scale(
-        frames,
-        scale or ["auto-models"],
-        need_scale=bool(scale),
-        pp=principal_point,
-        duration_s=duration,
-    )
+    frames = open_frames(video, fps=fps, stream=stream)
+    with frame_notes(frames):
+        calibration = calibrate_with_scale(
+            frames, scale or ["auto-models"], need_scale=bool(scale), pp=principal_point, duration_s=duration
+        )
     make_folder(out.absolute().parent)
     write_json(out, calibration.to_dict())
     if picture is not None:
@@ -84,12 +86,13 @@ def calibrate(
     rows = _rows(calibration)
     say(f"{calibration.camera.name} calibrated")
     print_table([*rows, ("in", out), *([("picture", picture)] if picture else [])])
-    warn_of([*calibration.doubts, *frames.problems])
+    warn_of(calibration.doubts)
     report = {
         **calibration.to_dict(),
         "focal": calibration.camera.focal,
         "vp3": calibration.camera.vp3.tolist(),
         "out": str(out),
+        "notes": frames.notes,
         "problems": frames.problems,
     }
     write_json_report(json_file, {**report, "picture": str(picture) if picture else None})

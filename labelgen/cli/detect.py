@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,9 +12,11 @@ import typer
 
 from labelgen.cli.options import (
     CalibrationOption,
+    FpsOption,
     JsonOption,
     OverwriteOption,
     RoadMaskOption,
+    StreamOption,
     print_table,
     warn_of,
     write_json_report,
@@ -23,6 +25,7 @@ from labelgen.cli.printing import say
 
 if TYPE_CHECKING:
     from detector.inference import Detector
+    from labelgen.datasets.scene import Scene
 
 __all__ = ["detect"]
 
@@ -38,6 +41,8 @@ def detect(
     score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a detection.")] = 0.5,
     every: Annotated[int, typer.Option("--every", min=1, metavar="N", help="Take every N-th frame.")] = 1,
     limit: Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N pictures.")] = None,
+    fps: FpsOption = None,
+    stream: StreamOption = None,
     render: Annotated[bool, typer.Option("--render", help="Write the rectified pictures with 3D boxes.")] = False,
     device: Annotated[str | None, typer.Option("--device", help="Torch device; the GPU when there is one.")] = None,
     overwrite: OverwriteOption = False,
@@ -50,6 +55,7 @@ def detect(
     """
     from detector.inference import load_detector
     from labelgen.atomic_files import make_folder
+    from labelgen.datasets.scene import find_scene
     from labelgen.errors import NoVehiclesError, OutputError
 
     detector = load_detector(checkpoint, score=score, device=device)
@@ -58,19 +64,21 @@ def detect(
         raise OutputError(f"{target}: it exists already; use --overwrite or another --out")
     is_shards = source.suffix == ".h5" or (source.is_dir() and any(source.glob("shard-*.h5")))
     problems: list[str] = []
-    lines = (
-        _of_shards(detector, source, limit)
-        if is_shards
-        else _of_frames(detector, source, calibration, road_mask, every, limit, problems)
-    )
-    first = next(lines)  # finds out what is wrong before anything is written
-    make_folder(out)
-    pictures = make_folder(out / "pictures") if render else None
-    counts = _write(first, lines, target, pictures)
+    with ExitStack() as stack:
+        stack.callback(warn_of, problems)
+        if is_shards:
+            lines = _of_shards(detector, source, limit)
+        else:
+            scene = find_scene(source, calibration=calibration, road_mask=road_mask, fps=fps, stream=stream).open()
+            lines = _of_frames(detector, scene, every, limit, problems)
+        stack.enter_context(closing(lines))  # type: ignore[type-var]
+        first = next(lines)  # finds out what is wrong before anything is written
+        make_folder(out)
+        pictures = make_folder(out / "pictures") if render else None
+        counts = _write(first, lines, target, pictures)
     rows = [("pictures", counts[0]), ("detections", counts[1]), ("in", out)]
     say(f"Detections of {source.name} by {checkpoint.name}")
     print_table(rows)
-    warn_of(problems)
     report = {"pictures": counts[0], "detections": counts[1], "file": str(target), "problems": problems}
     if not counts[1]:
         error = NoVehiclesError(
@@ -105,26 +113,28 @@ def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | 
 
 
 def _of_frames(
-    detector: Detector, source: Path, calibration: Path | None, road_mask: Path | None, every: int, limit: int | None,
-    problems: list[str],
-) -> Iterator[_Line]:  # fmt: skip
-    """Yield the lines of a video or folder; append what had to be skipped to `problems`."""
+    detector: Detector, scene: Scene, every: int, limit: int | None, problems: list[str]
+) -> Iterator[_Line]:
+    """Yield the lines of a video or folder; append what was assumed or skipped to `problems`, whatever ends it."""
     from itertools import islice
 
     from detector.speed.annotate import draw_detections
     from detector.speed.detection_file import detections_head
     from detector.speed.model_detections import DetectorDetections, model_view
-    from labelgen.datasets.scene import find_scene
 
-    scene = find_scene(source, calibration=calibration, road_mask=road_mask).open()
+    untimed = f"{scene.frames.untimed}: the detections have no times" if scene.frames.untimed else ""
     view = model_view(detector.metadata, scene.camera, scene.road)
     model = DetectorDetections(detector, view)
     yield detections_head(view, scene.frames.fps or scene.fps), 0, None
-    coming = islice(scene.frames.frames(lambda number: number % every == 0), limit)
-    for frame, found in model.detections(coming):
-        text = json.dumps(found.to_dict()) + "\n"
-        yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
-    problems += [*scene.notes, *scene.frames.problems, *model.problems]
+    coming = scene.frames.frames(lambda number: number % every == 0)
+    try:
+        with closing(coming):  # type: ignore[type-var]
+            for frame, found in model.detections(islice(coming, limit)):
+                text = json.dumps(found.to_dict()) + "\n"
+                yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
+    finally:
+        problems += [note for note in (untimed, *scene.frames.notes, *scene.notes) if note]
+        problems += [*scene.frames.problems, *model.problems]
 
 
 def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:

@@ -27,6 +27,7 @@ __all__ = [
     "ContactPoint",
     "Cover",
     "FirstFrameOption",
+    "FpsOption",
     "Heading",
     "JsonOption",
     "OverwriteOption",
@@ -36,6 +37,7 @@ __all__ = [
     "RuleOption",
     "ScaleMasksOption",
     "SceneSizeOption",
+    "StreamOption",
     "WorkersOption",
     "check_new_file",
     "check_report_path",
@@ -115,6 +117,22 @@ ClassesOption = Annotated[
     str | None,
     typer.Option(
         "--classes", metavar="ID=CLASS,...", help="What a COCO file's categories are, by name or id: 2=car,pickup=car."
+    ),
+]
+FpsOption = Annotated[
+    float | None,
+    typer.Option(
+        "--fps",
+        min=0.001,
+        max=1000.0,
+        metavar="RATE",
+        help="Frames per second of images, raw streams and AVI files; time stamps of other files come first.",
+    ),
+]
+StreamOption = Annotated[
+    int | None,
+    typer.Option(
+        "--stream", min=0, metavar="N", help="Which of several video streams, from 0; the largest by default."
     ),
 ]
 OverwriteOption = Annotated[

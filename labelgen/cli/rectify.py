@@ -12,11 +12,13 @@ from labelgen.choices import Pair
 from labelgen.cli.options import (
     CalibrationOption,
     Cover,
+    FpsOption,
     JsonOption,
     OverwriteOption,
     PairOption,
     RoadMaskOption,
     SceneSizeOption,
+    StreamOption,
     check_new_file,
     check_report_path,
     picture_suffix,
@@ -47,6 +49,8 @@ def rectify(
         ),
     ] = Cover.FRAME,
     frame: Annotated[int, typer.Option("--frame", min=0, metavar="N", help="Frame of a video or image folder.")] = 0,
+    fps: FpsOption = None,
+    stream: StreamOption = None,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -63,7 +67,7 @@ def rectify(
     size_wh = rectified_size(size, pair, load_manifest("brnocompspeed"))
     suffix = picture_suffix("--out", out)
     check_new_file("--out", out, overwrite)
-    scene = find_scene(source, calibration=calibration, road_mask=road_mask, need_frames=False)
+    scene = find_scene(source, calibration=calibration, road_mask=road_mask, need_frames=False, fps=fps, stream=stream)
     image = read_picture(scene, frame)
     frame_wh = (image.shape[1], image.shape[0])
     camera = scene.camera(frame_wh)

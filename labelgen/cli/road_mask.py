@@ -8,8 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from labelgen.cli.options import (
+    FpsOption,
     JsonOption,
     OverwriteOption,
+    StreamOption,
     check_new_file,
     check_report_path,
     print_table,
@@ -31,6 +33,8 @@ def road_mask(
     duration: Annotated[
         float | None, typer.Option("--duration", min=1, metavar="S", help="Look at so many seconds at most.")
     ] = None,
+    fps: FpsOption = None,
+    stream: StreamOption = None,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -43,20 +47,22 @@ def road_mask(
     from labelgen.calibration.road_mask import estimate_road_mask, write_mask
     from labelgen.errors import OutputError
     from labelgen.geometry import Camera
+    from labelgen.media.frame_notes import frame_notes
     from labelgen.media.open_frames import open_frames
 
     check_report_path(json_file, out)
     if out.suffix.lower() != ".png":
         raise OutputError(f"--out {out}: name a .png file")
     check_new_file("--out", out, overwrite)
-    frames = open_frames(video)
-    if calibration is None:
-        estimated = calibrate_video(frames, duration_s=duration)
-        camera, observations, doubts = estimated.camera, estimated.observations, list(estimated.doubts)
-    else:
-        camera = Camera.load(calibration, image_wh=frames.size_wh)
-        doubts = [doubt for doubt in [camera.size_doubt()] if doubt]
-        observations = observe(frames, duration_s=duration)
+    frames = open_frames(video, fps=fps, stream=stream)
+    with frame_notes(frames):
+        if calibration is None:
+            estimated = calibrate_video(frames, duration_s=duration)
+            camera, observations, doubts = estimated.camera, estimated.observations, list(estimated.doubts)
+        else:
+            camera = Camera.load(calibration, image_wh=frames.size_wh)
+            doubts = [doubt for doubt in [camera.size_doubt()] if doubt]
+            observations = observe(frames, duration_s=duration)
     road = estimate_road_mask(camera, observations.tracks)
     write_mask(out, road.pixels)
     rows: list[tuple[str, Any]] = [
@@ -67,10 +73,10 @@ def road_mask(
     ]
     say(f"Road in {frames.name}")
     print_table(rows)
-    problems = [*doubts, *frames.problems]
-    warn_of(problems)
+    warn_of(doubts)
     report = {
-        "problems": problems,
+        "notes": frames.notes,
+        "problems": [*doubts, *frames.problems],
         "share": float(road.pixels.mean()),
         "tracks": road.tracks,
         "along": road.along,

@@ -16,12 +16,14 @@ from labelgen.cli.options import (
     ClassesOption,
     ContactPoint,
     FirstFrameOption,
+    FpsOption,
     JsonOption,
     OverwriteOption,
     RoadMaskOption,
     RuleOption,
     ScaleMasksOption,
     SceneSizeOption,
+    StreamOption,
     check_report_path,
     coco_options,
     print_table,
@@ -95,9 +97,8 @@ def speed(
     device: Annotated[
         str | None, typer.Option("--device", help="Torch device; the GPU when there is one, by default.")
     ] = None,
-    fps: Annotated[
-        float | None, typer.Option("--fps", min=0.001, help="Frame rate of frames without time stamps, as images.")
-    ] = None,
+    fps: FpsOption = None,
+    stream: StreamOption = None,
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.001, metavar="S", help="Stop after S seconds of the video.")
     ] = None,
@@ -125,7 +126,7 @@ def speed(
     check_report_path(json_file)
     if from_ is None:
         from_ = "masks:maskrcnn" if variant is Variant.SOCHOR else "masks:background"
-    inputs = _Inputs(source, out, calibration, road_mask, fps, duration, stall, variant is Variant.DUBSKA)
+    inputs = _Inputs(source, out, calibration, road_mask, fps, stream, duration, stall, variant is Variant.DUBSKA)
     kind, _, argument = from_.partition(":")
     with reported(json_file):
         if kind == "masks" and argument:
@@ -153,11 +154,13 @@ def speed(
                 keep_detections=kind != "detections",
             )  # fmt: skip
         except Exception:
+            for problem in job.problems():
+                _log.warning("%s", problem)
             _say_what_is_there(files)
             raise
     if job.source is not None:
         summary.rejects.update(job.source.rejects)
-    summary.problems += job.problems()
+    summary.problems += [*meter.problems(), *job.problems()]
     _close(job, files, summary, render, json_file)
 
 
@@ -169,6 +172,7 @@ class _Inputs(NamedTuple):
     calibration: Path | None
     road_mask: Path | None
     fps: float | None
+    stream: int | None
     duration_s: float | None
     stall_s: float
     scale_from_dimensions: bool
@@ -182,14 +186,18 @@ class _Inputs(NamedTuple):
         if is_stream_url(self.source):
             return open_stream(
                 self.source, calibration=self.calibration, road_mask=self.road_mask, duration_s=self.duration_s,
-                stall_s=self.stall_s, fps=self.fps,
+                stall_s=self.stall_s, fps=self.fps, stream=self.stream,
             )  # fmt: skip
         path = Path(self.source)
         name = _input_name(path)
-        files = find_scene(path, calibration=self.calibration, road_mask=self.road_mask, may_lack=True)
+        files = find_scene(
+            path, calibration=self.calibration, road_mask=self.road_mask, may_lack=True, fps=self.fps,
+            stream=self.stream,
+        )  # fmt: skip
+        files.check_times()
         # Each system with the scale it was published with; models are what serves everything else best.
         scale = "auto-dimensions" if self.scale_from_dimensions else "auto-models"
-        return replace(complete_scene(files, self.out / name, scale=scale).open(fps=self.fps), name=name)
+        return replace(complete_scene(files, self.out / name, scale=scale).open(), name=name)
 
 
 def _input_name(path: Path) -> str:
@@ -240,7 +248,14 @@ def _file_job(
         if value:
             raise LabelgenError(f"--from detections:{path}: the file itself says how it was made; leave out {option}")
     source = Path(inputs.source)
-    scene = find_scene(source, calibration=inputs.calibration, road_mask=inputs.road_mask, need_frames=render)
+    scene = find_scene(
+        source,
+        calibration=inputs.calibration,
+        road_mask=inputs.road_mask,
+        need_frames=render,
+        fps=inputs.fps,
+        stream=inputs.stream,
+    )
     job = job_from_file(file, scene, with_pictures=render, fps=inputs.fps, duration_s=inputs.duration_s)
     return replace(job, name=_input_name(source))
 

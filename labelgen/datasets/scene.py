@@ -75,6 +75,15 @@ class SceneFiles:
             raise DataError(f"{self.name}: its video is not there")
         return open_frames(self.frames_path, fps=self.given_fps, stream=self.stream)
 
+    def check_times(self) -> None:
+        """Find out whether frames have times.
+
+        Raises:
+            DataError: they have none, and neither the user nor the data set gives their rate; or see `open_frames`.
+        """
+        if not (self.given_fps or self.fps) and (untimed := self.open_frames().untimed):
+            raise DataError(f"{self.frames_path}: {untimed}, so there are no speeds; give fps", parameter="fps")
+
     def camera(self, image_wh: tuple[int, int]) -> Camera:
         """Return the calibration under the scene's name, for frames of `image_wh` px (width, height)."""
         return replace(Camera.load(self.calibration_path, image_wh=image_wh), name=self.name)
@@ -103,7 +112,7 @@ class SceneFiles:
         lane_lines, notes = read_lane_lines(files)
         notes = (*files.size_notes(size), *notes)
         rate = files.given_fps or files.fps
-        return Scene(files, files.name, frames, files.camera(size), files.road(size), rate, lane_lines, notes)
+        return Scene(self, self.name, frames, files.camera(size), files.road(size), rate, lane_lines, notes)
 
     def split_of(self, frame: int) -> Split:
         """Return the part of the published split C that a frame belongs to; NONE outside the data set."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -41,6 +42,8 @@ from labelgen.shards.index import file_hash
 from labelgen.shards.rejects import INPUT_PROBLEM
 
 __all__ = ["MaskSettings", "VideoUnit", "video_job"]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,11 @@ def video_job(
     """
     codec = codec or ImageCodec()
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
+    # Only where they are given, so that other shards stay as they are.
+    for key in ("given_fps", "stream"):
+        values = {getattr(files, key) for files in scenes} - {None}
+        if values:
+            common[key.removeprefix("given_")] = values.pop()
     units: list[VideoUnit] = []
     reasons: list[NoVehiclesError] = []
     inputs = {}
@@ -133,6 +141,8 @@ def video_job(
         scene = files.open()
         size = _taken(scene.frames.frame_count, every, limit)
         unit = VideoUnit(files, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix, size)
+        for note in scene.frames.notes:
+            _log.info("%s: %s", files.name, note)
         unit.rectification(scene)
         # Masks made before are looked up for each video; other sources are the same for all.
         if number == 0 or settings.is_made_before:

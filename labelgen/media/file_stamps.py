@@ -45,6 +45,7 @@ class FileStamps:
         fps: frames per second: given, announced or measured; None where nothing says it.
         are_times: whether stamps are used at all; without them the time of a frame is its number by `fps`.
         note: what is assumed, in words; empty where nothing is.
+        untimed: why frames have no times, in words; empty where they have.
     """
 
     base_s: float
@@ -52,6 +53,7 @@ class FileStamps:
     fps: float | None
     are_times: bool
     note: str = ""
+    untimed: str = ""
 
     @classmethod
     def of(
@@ -77,7 +79,7 @@ class FileStamps:
         start = first if first is not None else stamps[0] if stamps else 0
         announced = float(stream.average_rate or stream.guessed_rate or 0)
         if names & STAMPLESS_FORMATS or any(name.endswith("_pipe") for name in names - _COUNTED_FORMATS):
-            return cls(0.0, 0, given, False, _assumed("its frames have no time stamps", given))
+            return cls._numbered("its frames have no time stamps", given)
         believable = rules.min_fps <= announced <= rules.max_fps
         if names & _COUNTED_FORMATS:
             if given is not None and abs(given - announced) > rules.given_rate * announced:
@@ -85,16 +87,16 @@ class FileStamps:
                 return cls._counted(announced, given, base_s, start, stream, note)
             if believable:
                 return cls._counted(announced, announced, base_s, start, stream, "")
-            return cls(0.0, 0, given, False, _assumed(f"its header says {announced:g} frames per second", given))
+            return cls._numbered(f"its header says {announced:g} frames per second, which cannot be", given)
         measured = _measured(stamps, base_s)
         if base_s <= 0 or (measured is None and len(stamps) > 1) or not _plausible(measured, rules):
-            return cls(0.0, 0, given, False, _assumed("its time stamps cannot be", given))
-        fps: float | None = announced if believable and _agrees(announced, stamps, base_s, names, rules) else None
-        fps = fps or measured
+            return cls._numbered("its time stamps cannot be those of a camera", given)
+        agrees = believable and _agrees(announced, stamps, base_s, names, rules)
+        fps = announced if agrees else measured
         note = ""
         if given is not None and fps is not None and abs(given - fps) > rules.given_rate * fps:
             note = f"its frames have time stamps of their own, {fps:.4g} per second; the given {given:g} is not used"
-        elif given is None and measured and announced and fps == measured:
+        elif announced and fps is not None and not agrees:
             note = f"its header says {announced:g} frames per second, its time stamps say {fps:.4g}, which is used"
         return cls(base_s, start, fps or given, True, note)
 
@@ -105,6 +107,12 @@ class FileStamps:
             return cls(0.0, 0, fps, False, note)
         return cls(base_s * announced / fps, start, fps, True, note)
 
+    @classmethod
+    def _numbered(cls, reason: str, fps: float | None) -> FileStamps:
+        if fps is None:
+            return cls(0.0, 0, None, False, "", reason)
+        return cls(0.0, 0, fps, False, f"{reason}; timed at the given {fps:g} frames per second")
+
     def since_start_s(self, pts: int | None) -> float:
         """Return the time of a stamp since the first one, s; NaN for none."""
         return float("nan") if pts is None else (pts - self.start) * self.base_s
@@ -114,12 +122,6 @@ class FileStamps:
         if self.are_times:
             return self.since_start_s(pts)
         return number / self.fps if self.fps else float("nan")
-
-
-def _assumed(reason: str, given: float | None) -> str:
-    if given is not None:
-        return f"{reason}; timed at the given {given:g} frames per second"
-    return f"{reason}: when its frames were taken is not known; give the frame rate"
 
 
 def _measured(stamps: list[int], base_s: float) -> float | None:

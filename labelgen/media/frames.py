@@ -80,6 +80,7 @@ class FrameSource(Protocol):
         frame_count: number of frames that the file announces, which may be wrong; None where none is announced.
         fps: frames per second, as given, announced or measured; None where nothing says it.
         is_live: whether the frames come once, as a camera sends them. Other sources can be read again.
+        untimed: why frames have no times, in words; empty where they have.
         notes: what was assumed or applied when the source was opened, one line each.
         problems: what the last iteration skipped or could not read, one line each.
         failure: why the last iteration of a stream broke off; None for files and where nothing broke off.
@@ -97,6 +98,8 @@ class FrameSource(Protocol):
     def fps(self) -> float | None: ...
     @property
     def is_live(self) -> bool: ...
+    @property
+    def untimed(self) -> str: ...
     @property
     def notes(self) -> list[str]: ...
     @property

@@ -46,6 +46,7 @@ class ImageFolder:
         self.path = Path(path)
         self.name = self.path.resolve().name
         self.fps = fps
+        self.untimed = "" if fps else "images have no time stamps"
         self.notes: list[str] = []
         self.problems: list[str] = []
         try:

@@ -68,6 +68,7 @@ class VideoStream:
 
     frame_count: int | None = None
     is_live = True
+    untimed = ""
 
     def __init__(
         self,

@@ -62,6 +62,11 @@ class TimedFrames:
         return limit if count is None else min(count, limit)
 
     @property
+    def untimed(self) -> str:
+        """Why frames have no times; empty with a frame rate."""
+        return "" if self.fps else self._frames.untimed
+
+    @property
     def notes(self) -> list[str]:
         """Notes of the source."""
         return self._frames.notes
@@ -99,7 +104,8 @@ class TimedFrames:
             if not np.isfinite(frame.time_s):
                 if self.fps is None:
                     raise DataError(
-                        f"{self._frames.path}: its frames have no time stamps, so there are no speeds; give fps",
+                        f"{self._frames.path}: {self._frames.untimed or 'a frame has no time stamp'}, so there are "
+                        "no speeds; give fps",
                         parameter="fps",
                     )
                 frame = Frame(frame.number, frame.number / self.fps, frame.image, frame.name)

@@ -83,7 +83,7 @@ class VideoFile:
             video = self._stream(container)
             first, stamps = self._probe(container, video)
             self._stamps = FileStamps.of(container, video, stamps, fps, first.pts)
-            self.fps = self._stamps.fps
+            self.fps, self.untimed = self._stamps.fps, self._stamps.untimed
             self.frame_count, self._count_is_exact = _announced(video, container, self.fps)
             self._coded_wh = (int(first.width), int(first.height))
             self._geometry = FrameGeometry.of(self._coded_wh, video.sample_aspect_ratio, display_matrix(first))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import OutputError
+from labelgen.media.file_names import ffmpeg_name
 
 __all__ = ["VideoWriter"]
 
@@ -57,8 +58,8 @@ class VideoWriter:
         codecs = _codecs(crf, preset)
         name, options = next((codec for codec in codecs if codec[0] in av.codecs_available), codecs[-1])
         try:
-            self._container = av.open(str(path), "w", format="avi")
-        except OSError as err:
+            self._container = av.open(ffmpeg_name(path), "w", format="avi")
+        except (OSError, av.error.FFmpegError) as err:
             raise OutputError(f"{path}: {err.strerror or err}") from None
         rate = Fraction(fps).limit_denominator(1001)
         stream: Any = self._container.add_stream(name, rate=rate, options=options)
@@ -81,7 +82,7 @@ class VideoWriter:
         try:
             for packet in self._stream.encode(picture):
                 self._container.mux(packet)
-        except OSError as err:
+        except (OSError, self._av.error.FFmpegError) as err:
             raise OutputError(f"{self._path}: cannot write the video: {err.strerror or err}") from None
 
     def __enter__(self) -> VideoWriter:

@@ -128,7 +128,7 @@ def recode(video: Path, out: Path, size_wh: tuple[int, int], fps: int, seconds: 
     frames = [
         cv2.resize(frame.image, size_wh, interpolation=cv2.INTER_CUBIC) for frame in _first(VideoFile(video), 300)
     ]
-    with av.open(str(out), "w") as container:
+    with av.open(f"file:{out}", "w") as container:
         stream: Any = container.add_stream("libx264", rate=fps, options={"preset": "veryfast", "crf": "23"})
         stream.width, stream.height, stream.pix_fmt = *size_wh, "yuv420p"
         for number in range(round(seconds * fps)):

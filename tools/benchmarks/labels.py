@@ -71,7 +71,7 @@ def _write_video(root: Path, taken: int, every: int) -> Path:
     ground = cv2.resize(rng.integers(70, 140, (135, 240, 3), dtype=np.uint8), (1920, 1080))
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
-    with av.open(str(path), "w") as container:
+    with av.open(f"file:{path}", "w") as container:
         stream = container.add_stream("mpeg4", rate=25)
         stream.width, stream.height, stream.bit_rate = 1920, 1080, 8_000_000
         for n in range(taken * every):

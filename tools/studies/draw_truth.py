@@ -65,7 +65,7 @@ def main(
     lines = [json.loads(line) for line in (folder / "boxes.jsonl").read_text(encoding="utf-8").splitlines()]
     coco = COCO(str(folder / "masks.json"))
     writer: VideoWriter | None = None
-    with av.open(str(session / "video.avi")) as container:
+    with av.open(f"file:{session / 'video.avi'}") as container:
         for number, picture in enumerate(container.decode(video=0)):
             if frame is not None and number != frame:
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,8 @@ from labelgen.progress import progress_bar
 
 __all__ = ["ObservationSettings", "Observations", "observe"]
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class ObservationSettings:
@@ -37,6 +40,8 @@ class ObservationSettings:
     """Time between frames used for edges, silhouettes and camera motion: vehicles look alike a frame later."""
     interval_tolerance: float = 0.9
     """Share of the interval after which a frame is on time: frame times are uneven."""
+    max_lead_frames: float = 2.0
+    """Frames by which times may differ from numbers before the difference is taken into account."""
     stretch_s: float = 3.0
     """Length of the stretches of video that are worked on or skipped; a vehicle passes in about one of them."""
     sparse_from: tuple[tuple[int, int], ...] = ((250, 2000), (1000, 8000))
@@ -107,17 +112,22 @@ def observe(
     settings = settings or ObservationSettings()
     observation_pass = _ObservationPass(source.size_wh, silhouettes, settings)
     fps = source.fps or settings.default_fps
+    if source.untimed:
+        _log.info("%s: %s; %g frames per second are assumed", source.name, source.untimed, fps)
     count = source.frame_count
     if duration_s is not None:
         count = min(count or 2**31, math.ceil(duration_s * fps))
     step = max(1, round(fps / settings.track_fps))
     frames_read, time_s, check_s, ended = 0, 0.0, settings.first_check_s, True
+    lead_s = 0.0  # by how much the frames' times are ahead of their numbers: by gaps, or an uneven frame rate
     with progress_bar(count, "frame", "watching") as advance:
         sampler = _StretchSampler(settings.stretch_s)
-        frames = source.frames(lambda n: n % step == 0 and n / fps >= sampler.next_s, lambda: sampler.next_s)
+        frames = source.frames(lambda n: n % step == 0 and n / fps + lead_s >= sampler.next_s, lambda: sampler.next_s)
         for frame in frames:
             time_s = frame.time_s if math.isfinite(frame.time_s) else frame.number / fps
-            if duration_s is not None and time_s >= duration_s:
+            if abs(time_s - frame.number / fps - lead_s) > settings.max_lead_frames / fps:
+                lead_s = time_s - frame.number / fps
+            if duration_s is not None and time_s - frame.gaps_s >= duration_s:
                 break
             sampler.update(time_s, observation_pass.stretch_period())
             observation_pass.update(frame, time_s)

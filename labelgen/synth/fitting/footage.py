@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
+from labelgen.media.file_names import ffmpeg_name
 from labelgen.media.frames import FrameSource
 from labelgen.media.open_frames import open_frames
 
@@ -141,7 +142,7 @@ def mean_packet_bytes(video: Path, max_packets: int = FOOTAGE.max_packets) -> fl
 
     sizes: list[int] = []
     try:
-        with av.open(str(video)) as container:
+        with av.open(ffmpeg_name(video)) as container:
             for packet in container.demux(video=0):
                 if packet.size and not packet.is_keyframe:
                     sizes.append(packet.size)
@@ -157,7 +158,7 @@ def codec_of(video: Path) -> str:
     import av
 
     try:
-        with av.open(str(video)) as container:
+        with av.open(ffmpeg_name(video)) as container:
             return str(container.streams.video[0].codec_context.name)
     except (OSError, ValueError, IndexError):
         return ""

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.media.file_names import ffmpeg_name
 from labelgen.media.video_writer import VideoWriter
 from labelgen.synth.fitting.footage import FOOTAGE, Footage, mean_packet_bytes
 from labelgen.synth.sensor.compression_artifacts import BLOCKY_CODECS
@@ -345,7 +346,7 @@ def estimate_block_step(
     with tempfile.TemporaryDirectory() as folder:
         for quantizer in quantizers:
             path = Path(folder) / f"{quantizer}.avi"
-            with av.open(str(path), "w", format="avi") as container:
+            with av.open(ffmpeg_name(path), "w", format="avi") as container:
                 stream: Any = container.add_stream("mpeg4", rate=Fraction(fps).limit_denominator(1001))
                 stream.height, stream.width = frames.shape[1:3]
                 stream.pix_fmt = "yuv420p"

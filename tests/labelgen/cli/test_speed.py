@@ -362,7 +362,8 @@ def stream_options(feed: Path) -> list[Any]:
 
 
 def test_a_stream_that_ends(camera_feed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with serve_stream((camera_feed / "road.ts").read_bytes()) as url:
+    data = (camera_feed / "road.ts").read_bytes()
+    with serve_stream(data, announced=len(data)) as url:
         assert run(url, *stream_options(camera_feed), "--out", tmp_path, "--duration", 60) == 0
     assert sorted(speeds(tmp_path / "camera")) == pytest.approx(sorted(SPEEDS), abs=0.5)
     assert "the stream ended after" in capsys.readouterr().err
@@ -411,7 +412,8 @@ def test_a_stream_needs_to_be_told_everything(tmp_path: Path, capsys: pytest.Cap
 
 @pytest.mark.slow
 def test_a_stream_teaches_the_background_first(camera_feed: Path, tmp_path: Path) -> None:
-    with serve_stream((camera_feed / "road.ts").read_bytes()) as url:
+    data = (camera_feed / "road.ts").read_bytes()
+    with serve_stream(data, announced=len(data)) as url:
         options = [*stream_options(camera_feed)[:4], "--from", "masks:background"]
         assert run(url, *options, "--out", tmp_path, "--duration", 5, "--json", tmp_path / "s.json") == 0
     assert (
