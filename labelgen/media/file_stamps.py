@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from labelgen.media.counted import Counted, many
 
 __all__ = ["STAMPLESS_FORMATS", "STAMP_RULES", "ClockCarry", "FileStamps", "StampRules"]
 
@@ -69,13 +72,14 @@ class FileStamps:
 
         Args:
             container, stream: of PyAV.
-            stamps: of the first packets, sorted.
+            stamps: of the first packets, in their order.
             given: frames per second that the user gives.
             first: stamp of the first frame.
             rules: thresholds.
         """
         names = set(container.format.name.split(","))
         base_s = float(stream.time_base) if stream.time_base else 0.0
+        stamps = _one_run(stamps, base_s)
         start = first if first is not None else stamps[0] if stamps else 0
         announced = float(stream.average_rate or stream.guessed_rate or 0)
         if names & STAMPLESS_FORMATS or any(name.endswith("_pipe") for name in names - _COUNTED_FORMATS):
@@ -124,6 +128,14 @@ class FileStamps:
         return number / self.fps if self.fps else float("nan")
 
 
+def _one_run(stamps: list[int], base_s: float, back_s: float = 1.0) -> list[int]:
+    """Return the longest part of packets' stamps in which the clock does not start anew, sorted."""
+    if len(stamps) < 2 or not base_s:
+        return sorted(stamps)
+    parts = np.split(np.array(stamps), np.flatnonzero(np.diff(stamps) < -back_s / base_s) + 1)
+    return sorted(max(parts, key=len).tolist())
+
+
 def _measured(stamps: list[int], base_s: float) -> float | None:
     """Return the frames per second of most steps between stamps; None where there are no steps."""
     steps = np.diff(stamps)
@@ -159,23 +171,40 @@ class ClockCarry:
         self._back = max(round(back_s / base_s), 16 * self._period)
         self._latest: int | None = None
         self._offset = 0
+        self._base_s, self._jumps, self._packets = base_s, Counted(), 0
 
-    def jumps_back(self, pts: int | None) -> bool:
-        """Return whether a packet's stamp lies far before the latest one."""
-        return pts is not None and self._latest is not None and pts + self._offset < self._latest - self._back
+    def problems(self) -> list[str]:
+        """Return how often the clock started anew, in at most one line."""
+        if not self._jumps.count:
+            return []
+        times = f"{many(self._jumps.count, 'time')}"
+        where = f"by {self._jumps.first_size:.1f} s near frame {self._jumps.first}"
+        return [f"the clock jumped back {times} (first: {where}); the time is carried on"]
 
-    def restart(self, pts: int, following: int | None) -> None:
-        """Carry the clock on from a packet whose stamp jumps back, unless the following packet's does not."""
-        assert self._latest is not None
-        if following is None or self.jumps_back(following):
-            self._offset = self._latest + self._period - pts
+    def carried(self, packets: Iterable[Any]) -> Iterator[Any]:
+        """Yield packets, each when the next one has come: a single stamp out of line is no new start of the clock."""
+        coming = iter(packets)
+        packet = next(coming, None)
+        while packet is not None:
+            following = next(coming, None)
+            self._packets += 1
+            if packet.pts is not None:
+                self._update(packet.pts, None if following is None else following.pts)
+                packet.pts += self._offset
+                if packet.dts is not None:
+                    packet.dts += self._offset
+            yield packet
+            packet = following
 
-    def shift(self, packet: Any) -> None:
-        """Shift the stamps of a packet."""
-        if packet.pts is None:
-            return
-        packet.pts += self._offset
-        if packet.dts is not None:
-            packet.dts += self._offset
-        if not self.jumps_back(packet.pts - self._offset):
-            self._latest = packet.pts if self._latest is None else max(self._latest, packet.pts)
+    def _update(self, pts: int, following: int | None) -> None:
+        here, latest = pts + self._offset, self._latest
+        after = None if following is None else following + self._offset
+        if latest is None:
+            self._latest = here
+        elif here < latest - self._back:
+            if after is None or after < latest - self._back:
+                self._jumps.add(self._packets, (latest - here) * self._base_s)
+                self._offset += latest + self._period - here
+                self._latest = latest + self._period
+        elif here <= latest + self._back or after is None or after >= here - self._back:
+            self._latest = max(latest, here)

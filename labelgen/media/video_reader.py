@@ -120,13 +120,16 @@ class VideoFile:
         self.problems = []
         counts = _ProblemCounts()
         clock = FrameClock(1 / self.fps if self.fps else None)
+        carry = ClockCarry(self._stamps.base_s or 1.0, 1 / self.fps if self.fps else 0.04)
         last, finished = -1, False
         with self._open() as container:
             stream = self._stream(container)
 
             def decoded_frames() -> Iterator[tuple[int, float, Any]]:
                 nonlocal last, finished
-                packets = self._without_restarts(container.demux(stream))
+                packets = container.demux(stream)
+                if self._stamps.are_times:
+                    packets = carry.carried(packets)
                 if seek is not None:
                     packets = seek.needed(packets, lambda packet: self._stamps.since_start_s(packet.pts))
                 for count, decoded in enumerate(self._decode(packets, stream, counts)):
@@ -144,32 +147,14 @@ class VideoFile:
                     for number, time_s, decoded in decoded_frames():
                         yield TimedItem(number, time_s, 0.0, decoded)
             finally:
-                announced = self.frame_count if finished else None
-                self.problems = [
-                    *counts.problems(last + 1, announced, self._count_is_exact, self.size_wh), *clock.problems()
-                ]  # fmt: skip
-
-    def _without_restarts(self, packets: Iterator[Any]) -> Iterator[Any]:
-        """Yield packets; where their clock starts anew, as in recordings put together, shift the stamps to go on."""
-        if not self._stamps.are_times:
-            yield from packets
-            return
-        carry = ClockCarry(self._stamps.base_s, 1 / self.fps if self.fps else 0.04)
-        coming = iter(packets)
-        packet = next(coming, None)
-        while packet is not None:
-            held: list[Any] = []
-            if carry.jumps_back(packet.pts):
-                # A single stamp out of line is no restart; the next packet tells.
-                held = [following for following in [next(coming, None)] if following is not None]
-                carry.restart(packet.pts, held[0].pts if held else None)
-            for one in (packet, *held):
-                carry.shift(one)
-                yield one
-            packet = next(coming, None)
+                self.problems = [*clock.problems(), *carry.problems()]
+                # With gaps and jumps in the stamps a number computed from the duration means nothing.
+                known = finished and (self._count_is_exact or not self.problems)
+                announced = self.frame_count if known else None
+                self.problems[:0] = counts.problems(last + 1, announced, self._count_is_exact, self.size_wh)
 
     def _probe(self, container: Any, stream: Any) -> tuple[Any, list[int]]:
-        """Return the first frame that can be decoded, and the stamps of the first packets, sorted."""
+        """Return the first frame that can be decoded, and the stamps of the first packets."""
         stamps: list[int] = []
 
         def noted() -> Iterator[Any]:
@@ -185,7 +170,7 @@ class VideoFile:
         with contextlib.suppress(FFmpegError, EOFError):
             for _ in islice(packets, max(0, _PROBE_PACKETS - len(stamps))):
                 pass
-        return first, sorted(stamps)
+        return first, stamps
 
     def _open(self) -> AbstractContextManager[Any]:
         try:
@@ -202,7 +187,9 @@ class VideoFile:
     def _stream(self, container: Any) -> Any:
         streams = _real_streams(container)
         if not streams:
-            kinds = ", ".join(sorted({s.type for s in container.streams})) or "no"
+            kinds = ", ".join(sorted({s.type for s in container.streams}))
+            if not kinds:
+                raise DataError(f"{self.path}: {why_unreadable(self.path)}")
             raise DataError(f"{self.path}: it holds no video stream ({kinds} streams only)")
         wanted = self._wanted_stream
         if wanted is not None and not 0 <= wanted < len(streams):
