@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["Counted", "many"]
+__all__ = ["Counted"]
 
 
 class Counted:
@@ -24,8 +24,3 @@ class Counted:
             self.first, self.first_size = number, size
         self.count += 1
         self.total += size
-
-
-def many(count: int, noun: str) -> str:
-    """Return a count with its noun in singular or plural."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"

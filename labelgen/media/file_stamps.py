@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from labelgen.media.counted import Counted, many
+from labelgen.media.counted import Counted
+from labelgen.problem_counts import count_of
 
 __all__ = ["STAMPLESS_FORMATS", "STAMP_RULES", "ClockCarry", "FileStamps", "StampRules"]
 
@@ -177,7 +178,7 @@ class ClockCarry:
         """Return how often the clock started anew, in at most one line."""
         if not self._jumps.count:
             return []
-        times = f"{many(self._jumps.count, 'time')}"
+        times = f"{count_of(self._jumps.count, 'time')}"
         where = f"by {self._jumps.first_size:.1f} s near frame {self._jumps.first}"
         return [f"the clock jumped back {times} (first: {where}); the time is carried on"]
 

@@ -14,7 +14,8 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from labelgen.media.counted import Counted, many
+from labelgen.media.counted import Counted
+from labelgen.problem_counts import count_of
 
 __all__ = ["ArrivalClock", "ArrivalClockRules", "FrameClock", "FrameClockRules", "TimedItem"]
 
@@ -115,15 +116,15 @@ class FrameClock:
         """Return what was wrong with the stamps, one line for each kind."""
         lines = []
         if self._outliers.count:
+            stamps = count_of(self._outliers.count, "time stamp")
             lines.append(
-                f"{many(self._outliers.count, 'time stamp')} missing or out of line, replaced by a time between the "
-                f"neighbours' (first: frame {self._outliers.first})"
+                f"{stamps} missing or out of line, replaced by a time between the neighbours' "
+                f"(first: frame {self._outliers.first})"
             )
         if self._jumps.count:
-            lines.append(
-                f"the clock jumped back {many(self._jumps.count, 'time')} (first: by {self._jumps.first_size:.1f} s "
-                f"at frame {self._jumps.first}); the time is carried on"
-            )
+            first = f"by {self._jumps.first_size:.1f} s at frame {self._jumps.first}"
+            times = count_of(self._jumps.count, "time")
+            lines.append(f"the clock jumped back {times} (first: {first}); the time is carried on")
         return [*lines, *_gap_lines(self._gaps)]
 
 
@@ -246,4 +247,4 @@ def _gap_lines(gaps: Counted) -> list[str]:
         return []
     together = f", {gaps.total:.1f} s together" if gaps.count > 1 else ""
     first = f"{gaps.first_size:.1f} s before frame {gaps.first}"
-    return [f"{many(gaps.count, 'gap')} in the recording{together} (first: {first})"]
+    return [f"{count_of(gaps.count, 'gap')} in the recording{together} (first: {first})"]

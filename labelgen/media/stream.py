@@ -19,13 +19,13 @@ import numpy as np
 from av.error import ExitError, FFmpegError
 
 from labelgen.errors import DataError
-from labelgen.media.counted import many
 from labelgen.media.file_stamps import STAMP_RULES, STAMPLESS_FORMATS
 from labelgen.media.frame_clock import ArrivalClock, FrameClock
 from labelgen.media.frame_geometry import FrameGeometry
 from labelgen.media.frames import Frame, always
 from labelgen.media.prefetch import prefetch
 from labelgen.media.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
+from labelgen.problem_counts import count_of
 
 __all__ = ["VideoStream", "is_stream_url"]
 
@@ -234,11 +234,11 @@ class VideoStream:
                 count += 1
                 yield arrival_s, frame
         if damaged:
-            self.problems.append(f"{many(damaged, 'damaged packet')} skipped")
+            self.problems.append(f"{count_of(damaged, 'damaged packet')} skipped")
 
 
 def _after(count: int) -> str:
-    return f"after {many(count, 'frame')}"
+    return f"after {count_of(count, 'frame')}"
 
 
 def _believed(announced: float | None, held: list[tuple[float, Any]], base_s: float) -> float | None:

@@ -20,7 +20,6 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.media.counted import many
 from labelgen.media.damaged_file import why_unreadable
 from labelgen.media.file_names import ffmpeg_name
 from labelgen.media.file_stamps import ClockCarry, FileStamps
@@ -29,6 +28,7 @@ from labelgen.media.frame_geometry import FrameGeometry
 from labelgen.media.frames import Frame, LazyFrame, always, downscale
 from labelgen.media.keyframe_seek import KeyframeSeek
 from labelgen.media.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
+from labelgen.problem_counts import count_of
 
 __all__ = ["VideoFile"]
 
@@ -281,13 +281,15 @@ class _ProblemCounts:
         if self.end is not None:
             lines.append(f"reading stopped after frame {count - 1}: {self.end.lower()}")
         if self._packets:
-            lines.append(f"{many(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
+            lines.append(f"{count_of(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
         if self._frames:
-            lines.append(f"{many(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})")
+            lines.append(
+                f"{count_of(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})"
+            )
         if self._sizes:
             new, old = ("{}x{}".format(*wh) for wh in (self._other_wh, size_wh))
             lines.append(
-                f"{many(self._sizes, 'frame')} of another size skipped (first: frame {self._first_size}, "
+                f"{count_of(self._sizes, 'frame')} of another size skipped (first: frame {self._first_size}, "
                 f"{new} instead of {old})"
             )
         return lines

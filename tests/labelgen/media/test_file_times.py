@@ -259,7 +259,7 @@ def test_files_without_their_end(tmp_path: Path) -> None:
 
 def test_what_is_left_unread_is_told_as_well(tmp_path: Path) -> None:
     data = bytearray(write(tmp_path / "a.avi", size_wh=(160, 120), options={"g": "1"}).read_bytes())
-    place = len(data) // 4
+    place = len(data) // 2
     data[place : place + 200] = bytes(np.random.default_rng(0).integers(0, 256, 200, dtype=np.uint8))
     (tmp_path / "damaged.avi").write_bytes(data)
     source = open_frames(tmp_path / "damaged.avi")
