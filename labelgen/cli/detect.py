@@ -112,9 +112,7 @@ def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | 
     return count, total
 
 
-def _of_frames(
-    detector: Detector, scene: Scene, every: int, limit: int | None, problems: list[str]
-) -> Iterator[_Line]:
+def _of_frames(detector: Detector, scene: Scene, every: int, limit: int | None, problems: list[str]) -> Iterator[_Line]:
     """Yield the lines of a video or folder; append what was assumed or skipped to `problems`, whatever ends it."""
     from itertools import islice
 

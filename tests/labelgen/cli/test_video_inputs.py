@@ -174,8 +174,8 @@ def test_problems_of_a_video_are_in_the_report(labelgen: Any, cut: Path, tmp_pat
     masks = f"coco:{cut.parent / 'masks.json'}"
     done = labelgen("bcs-masks", cut, "--masks", masks, "--every", 2, "--out", "out", "--json", "r.json")
     assert done.returncode == 0
-    warnings = json.loads((tmp_path / "r.json").read_text())["warnings"]
-    assert any("announced frames: the file is truncated" in line for line in warnings)
+    problems = json.loads((tmp_path / "r.json").read_text())["problems"]
+    assert any("announced frames: the file is truncated" in line for line in problems)
 
 
 def test_a_file_without_its_index(labelgen: Any, tmp_path: Path) -> None:
