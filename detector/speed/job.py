@@ -29,6 +29,7 @@ from labelgen.masks import (
     MaskKind,
     MaskSource,
     check_masks,
+    check_masks_file,
     create_mask_source,
     parse_masks,
     prime_masks,
@@ -76,6 +77,7 @@ class MaskSpeedSettings:
     coco: CocoOptions = COCO_OPTIONS
 
     def __post_init__(self) -> None:
+        check_masks_file(self.masks)
         kind, _ = parse_masks(self.masks)
         background = kind is MaskKind.BACKGROUND
         if self.variant is Variant.DUBSKA and not background:

@@ -29,6 +29,7 @@ from labelgen.masks import (
     MaskKind,
     MaskSource,
     check_masks,
+    check_masks_file,
     create_mask_source,
     masked_frames,
     parse_masks,
@@ -69,7 +70,7 @@ class MaskSettings:
     coco: CocoOptions = COCO_OPTIONS
 
     def __post_init__(self) -> None:
-        parse_masks(self.masks)
+        check_masks_file(self.masks)
 
     @property
     def is_made_before(self) -> bool:

@@ -38,11 +38,17 @@ class LabelLimits:
     """Largest length, width and height of the 3D box, metres: refuses several vehicles in one mask."""
     max_candidate_difference: float = 0.1
     """Largest difference of the two candidates for c_c that is not flagged: more, and the outline is not a box's."""
+    min_inside: float = 0.8
+    """Least share of a predicted mask inside one of a higher score that makes it a second mask of the same vehicle.
+    Less loses vehicles that are half hidden."""
+    border_share: float = 0.01
+    """A predicted mask that ends within this share of the frame's side is cut by it: networks end short of it."""
     border_px: float = 1.0
     """A box that ends less than this inside the rectified image's border is flagged as truncated, px."""
 
 
 LABEL_LIMITS = LabelLimits()
+_DOUBLED = ("inside a better mask", "")
 MaskReject = tuple[int, str, str]
 """Number of the mask in its frame, reason, detail."""
 
@@ -71,7 +77,11 @@ def label_masks(
     rejects: list[MaskReject] = []
     outlines: list[RectifiedOutline] = []
     numbers: list[int] = []
+    doubled = _doubled(masks, limits)
     for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
+        if doubled[i]:
+            rejects.append((i, *_DOUBLED))
+            continue
         outline = rectified_outline(rectification, crop, (origin[0], origin[1]))
         if outline is None:
             rejects.append((i, "outside the rectified image", ""))
@@ -89,7 +99,7 @@ def label_masks(
     cc = np.clip(mask_labels.cc, 0, 1).astype(np.float32).astype(np.float64)
     vertices, valid = decode_boxes(boxes, cc, rectification.vpu)
     valid &= mask_labels.valid
-    cut = _truncated(boxes, rectification.size_wh, limits.border_px) | _at_frame_border(masks, index)
+    cut = _truncated(boxes, rectification.size_wh, limits.border_px) | _at_frame_border(masks, index, limits)
     on_road = _on_road(
         masks, index, road, rectification.points_back(front_bottom_midpoints(vertices)), limits.min_on_road
     )
@@ -107,7 +117,9 @@ def label_masks(
             rejects.append((i, *reason))
             keep[j] = False
     disagree = np.abs(np.diff(mask_labels.candidates, axis=1))[:, 0] > limits.max_candidate_difference
-    flags = Flag.TRUNCATED * cut + Flag.CANDIDATES_DISAGREE * disagree + Flag.TOUCHING * _touching(masks)[index]
+    flags = (
+        Flag.TRUNCATED * cut + Flag.CANDIDATES_DISAGREE * disagree + Flag.TOUCHING * _touching(masks, doubled)[index]
+    )
     labels = Labels(
         boxes[keep],
         cc[keep],
@@ -138,7 +150,11 @@ def flat_labels(
     """
     rejects: list[MaskReject] = []
     boxes, numbers = [], []
+    doubled = _doubled(masks, limits)
     for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
+        if doubled[i]:
+            rejects.append((i, *_DOUBLED))
+            continue
         low = np.asarray(origin, dtype=np.float64)
         box = rectification.boxes([[*low, *(low + crop.shape[::-1])]])[0]
         contact_point = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
@@ -152,7 +168,11 @@ def flat_labels(
     if not numbers:
         return Labels.empty(), rejects
     index = np.array(numbers)
-    flags = Flag.FLAT + Flag.TRUNCATED * _at_frame_border(masks, index) + Flag.TOUCHING * _touching(masks)[index]
+    flags = (
+        Flag.FLAT
+        + Flag.TRUNCATED * _at_frame_border(masks, index, limits)
+        + Flag.TOUCHING * _touching(masks, doubled)[index]
+    )
     zeros = np.zeros(len(numbers))
     return Labels(np.array(boxes), zeros, masks.class_ids[index], masks.scores[index], flags.astype(np.uint16)), rejects
 
@@ -167,10 +187,16 @@ def _truncated(boxes: Array, size_wh: tuple[int, int], border_px: float) -> NDAr
     return np.asarray(low | high)
 
 
-def _at_frame_border(masks: InstanceMasks, index: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _doubled(masks: InstanceMasks, limits: LabelLimits) -> NDArray[np.bool_]:
+    """Return (N,) which predicted masks are second masks of the same vehicle."""
+    return masks.inside_better(limits.min_inside) if masks.are_predicted else np.zeros(len(masks), dtype=np.bool_)
+
+
+def _at_frame_border(masks: InstanceMasks, index: NDArray[np.int64], limits: LabelLimits) -> NDArray[np.bool_]:
+    margin = limits.border_share * np.asarray(masks.frame_wh) if masks.are_predicted else np.zeros(2)
     low = masks.origins[index]
     high = low + np.array([masks.crops[i].shape[::-1] for i in index.tolist()])
-    return np.asarray((low <= 0).any(axis=1) | (high >= np.asarray(masks.frame_wh)).any(axis=1))
+    return np.asarray((low <= margin).any(axis=1) | (high >= np.asarray(masks.frame_wh) - margin).any(axis=1))
 
 
 def _on_road(
@@ -199,13 +225,14 @@ def _implausible(
     return bad, sizes
 
 
-def _touching(masks: InstanceMasks) -> NDArray[np.bool_]:
-    """Return which of N masks (N,) touch another one."""
+def _touching(masks: InstanceMasks, doubled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of N masks (N,) touch another vehicle's; second masks of a vehicle count for none."""
     n = len(masks)
     out = np.zeros(n, dtype=np.bool_)
     low = masks.origins.reshape(-1, 2)
     high = low + np.array([crop.shape[::-1] for crop in masks.crops], dtype=np.int64).reshape(-1, 2)
     near = (low[:, None] <= high[None] + 1).all(-1) & (low[None] <= high[:, None] + 1).all(-1)
+    near &= ~doubled[:, None] & ~doubled[None]
     for a, b in zip(*np.nonzero(np.triu(near, 1)), strict=True):
         x0, y0 = np.minimum(low[a], low[b]).tolist()
         x1, y1 = np.maximum(high[a], high[b]).tolist()

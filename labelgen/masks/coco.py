@@ -181,6 +181,8 @@ class CocoMasks:
             [decode_segmentation(a.segmentation, frame_wh, drawn_wh=drawn_wh, scale=scale) for a, _ in usable],
             [annotation.class_id for annotation, _ in usable],
             [score for _, score in usable],
+            # People draw masks to the border, and once; only networks score them.
+            are_predicted=any(annotation.score is not None for annotation, _ in usable),
         )
 
     def _check(self, frame_wh: tuple[int, int]) -> None:

@@ -33,6 +33,8 @@ class InstanceMasks:
         crops: N bool arrays (h_i, w_i), each with at least one pixel set, inside the frame.
         class_ids: (N,) uint8, `labelgen.labels.VehicleClass`.
         scores: (N,) float32 in [0, 1].
+        are_predicted: whether a network made them: it may find a vehicle twice, and its masks may end short of the
+            frame's border.
 
     Raises:
         DataError: a field has a wrong shape or value. The message lists all such fields, expected beside actual.
@@ -43,6 +45,7 @@ class InstanceMasks:
     crops: tuple[BoolMask, ...]
     class_ids: NDArray[np.uint8]
     scores: NDArray[np.float32]
+    are_predicted: bool = False
 
     def __post_init__(self) -> None:
         crops = tuple(self.crops)
@@ -81,7 +84,13 @@ class InstanceMasks:
 
     @classmethod
     def from_crops(
-        cls, frame_wh: tuple[int, int], crops: Sequence[Crop], class_ids: ArrayLike, scores: ArrayLike
+        cls,
+        frame_wh: tuple[int, int],
+        crops: Sequence[Crop],
+        class_ids: ArrayLike,
+        scores: ArrayLike,
+        *,
+        are_predicted: bool = False,
     ) -> InstanceMasks:
         """Combine crops of one frame.
 
@@ -90,6 +99,7 @@ class InstanceMasks:
             crops: N crops with their origins, see `crop_mask`.
             class_ids: (N,) values of `labelgen.labels.VehicleClass`.
             scores: (N,) in [0, 1].
+            are_predicted: whether a network made them.
 
         Raises:
             DataError: fields that do not fit together.
@@ -100,6 +110,7 @@ class InstanceMasks:
             tuple(crop for _, crop in crops),
             np.asarray(class_ids, dtype=np.uint8),
             np.asarray(scores, dtype=np.float32),
+            are_predicted,
         )
 
     @classmethod
@@ -131,6 +142,24 @@ class InstanceMasks:
         """(N, 4) int64 bounding boxes x0, y0, x1, y1 of the crops, frame px, along pixel borders."""
         sizes = np.array([(c.shape[1], c.shape[0]) for c in self.crops], dtype=np.int64).reshape(-1, 2)
         return np.concatenate([self.origins, self.origins + sizes], axis=1)
+
+    def inside_better(self, min_share: float) -> NDArray[np.bool_]:
+        """Return (N,) which masks lie inside a mask of a higher score, to at least a share of their pixels."""
+        out = np.zeros(len(self), dtype=np.bool_)
+        boxes = self.boxes_xyxy
+        for i, box in enumerate(boxes.tolist()):
+            for j in np.flatnonzero(self.scores > self.scores[i]).tolist():
+                other = boxes[j].tolist()
+                low = max(box[0], other[0]), max(box[1], other[1])
+                high = min(box[2], other[2]), min(box[3], other[3])
+                if low[0] >= high[0] or low[1] >= high[1]:
+                    continue
+                own = self.crops[i][low[1] - box[1] : high[1] - box[1], low[0] - box[0] : high[0] - box[0]]
+                theirs = self.crops[j][low[1] - other[1] : high[1] - other[1], low[0] - other[0] : high[0] - other[0]]
+                if np.count_nonzero(own & theirs) >= min_share * np.count_nonzero(self.crops[i]):
+                    out[i] = True
+                    break
+        return out
 
     def full(self, index: int) -> BoolMask:
         """Return one mask in the whole frame, (H, W) bool."""

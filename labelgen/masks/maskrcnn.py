@@ -110,7 +110,7 @@ class MaskRcnnMasks:
             crops.append(crop)
             class_ids.append(vehicle_class)
             scores.append(min(float(score), 1.0))
-        return InstanceMasks.from_crops(frame_wh, crops, class_ids, scores)
+        return InstanceMasks.from_crops(frame_wh, crops, class_ids, scores, are_predicted=True)
 
 
 class _SmallMasks(GeneralizedRCNNTransform):  # type: ignore[misc]

@@ -11,13 +11,22 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.errors import LabelgenError, NoVehiclesError
+from labelgen.errors import DataError, LabelgenError, NoVehiclesError
 from labelgen.masks.clip import Clip
 from labelgen.masks.coco_options import CocoOptions
 from labelgen.masks.instances import InstanceMasks
 from labelgen.media.frames import Frame, FrameSource
 
-__all__ = ["MaskKind", "MaskSource", "check_masks", "create_mask_source", "masked_frames", "parse_masks", "prime_masks"]
+__all__ = [
+    "MaskKind",
+    "MaskSource",
+    "check_masks",
+    "check_masks_file",
+    "create_mask_source",
+    "masked_frames",
+    "parse_masks",
+    "prime_masks",
+]
 
 # Frames apart from which a source is primed: neighbouring frames of traffic are too alike.
 _PRIME_STRIDE = 10
@@ -161,6 +170,18 @@ def create_mask_source(
     from labelgen.masks.maskrcnn import MaskRcnnMasks
 
     return MaskRcnnMasks(weights=weights, score_threshold=score_threshold, device=device)
+
+
+def check_masks_file(masks: str) -> None:
+    """Refuse ready-made masks whose file is missing, before anything is opened.
+
+    Raises:
+        LabelgenError: unknown name of a mask source.
+        DataError: no such file.
+    """
+    _, file = parse_masks(masks)
+    if file is not None and not file.is_file():
+        raise DataError(f"{file}: no such file; masks coco:FILE needs a COCO JSON file", parameter="masks")
 
 
 def check_masks(source: MaskSource) -> None:

@@ -350,6 +350,13 @@ def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Pa
     from clips import CAMERA
 
     assert [detections.frame for detections in file.frames(file.view(CAMERA))] == [0, 1, 2, 3]
+    none = labelgen(
+        "detect", trained / "last.ckpt", clip, "--out", "c", "--score", 1.0, "--limit", 2, "--json", "c.json",
+        "--device", "cpu", **ONE_THREAD,
+    )  # fmt: skip
+    assert none.returncode == 2
+    assert "no vehicles found in clip.mp4: 0 detections of a score of at least 1 in 2 pictures" in none.stderr
+    assert json.loads((tmp_path / "c.json").read_text())["detections"] == 0
 
 
 @pytest.mark.parametrize("judged", [False, True])

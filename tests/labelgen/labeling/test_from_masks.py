@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ FRAME = 20
 """A frame in which both vehicles are whole."""
 ROAD = RoadMask(road_mask())
 RECTIFICATION = Rectification.from_road_mask(CAMERA, ROAD, Pair.VP2_VP3, (640, 360))
+FLAT = Rectification.of_region(Region.NONE, CAMERA, ROAD, Pair.VP2_VP3, (640, 360))
 
 
 def _masks(polygons: list[np.ndarray]) -> InstanceMasks:
@@ -78,3 +81,30 @@ def test_frames_that_are_not_rectified_get_flat_labels() -> None:
     assert not labels.cc.any()
     expected = np.concatenate([boxes.min(axis=1), boxes.max(axis=1)], axis=1) / 2
     np.testing.assert_allclose(labels.boxes_xyxy, expected, atol=1.0)
+
+
+@pytest.mark.parametrize("is_flat", [False, True])
+@pytest.mark.parametrize(("are_predicted", "kept"), [(True, 2), (False, 3)])
+def test_a_predicted_mask_inside_a_better_one_is_a_second_mask(is_flat: bool, are_predicted: bool, kept: int) -> None:
+    boxes = vehicle_boxes(FRAME)
+    middle = boxes[0].mean(axis=0)
+    masks = _masks([*boxes, middle + 0.8 * (boxes[0] - middle)])
+    scored = replace(masks, scores=np.array([0.9, 0.9, 0.6], np.float32), are_predicted=are_predicted)
+    rectification = FLAT if is_flat else RECTIFICATION
+    labels, rejects = (
+        flat_labels(scored, rectification, ROAD.pixels)
+        if is_flat
+        else label_masks(scored, rectification, CAMERA, ROAD.pixels)
+    )
+    assert len(labels) == kept
+    assert rejects == ([(2, "inside a better mask", "")] if are_predicted else [])
+    assert labels.has(Flag.TOUCHING)[:2].tolist() == [not are_predicted, False]
+
+
+@pytest.mark.parametrize(("are_predicted", "gap_px", "is_cut"), [(True, 6, True), (True, 8, False), (False, 6, False)])
+def test_a_predicted_mask_that_ends_near_the_border_is_cut(are_predicted: bool, gap_px: int, is_cut: bool) -> None:
+    crop = np.ones((60, 80), np.bool_)
+    origin = (SIZE[0] - 80 - gap_px, 200)
+    masks = InstanceMasks.from_crops(SIZE, [(origin, crop)], [VehicleClass.CAR], [0.9], are_predicted=are_predicted)
+    labels, _ = flat_labels(masks, FLAT, np.ones_like(ROAD.pixels))
+    assert labels.has(Flag.TRUNCATED).tolist() == [is_cut]
