@@ -6,6 +6,7 @@ A command's file is imported when the command is called, so that `labelgen --hel
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -63,6 +64,15 @@ _OPTION_OF = {
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
+# Parameters that notes of the library name, and that no other word is like.
+_NAMED_PARAMETERS = re.compile(r"(?<![\w./-])(first_frame|scale_masks)(?![\w./-])")
+
+
+def _name_options(text: str) -> str:
+    """Return text of the library with the options of the parameters that it names."""
+    return _NAMED_PARAMETERS.sub(lambda match: f"--{match[1].replace('_', '-')}", text)
+
+
 class _Command(TyperCommand):
     """A command that says in which option a wrong parameter was given."""
 
@@ -80,7 +90,8 @@ class _OptionError(LabelgenError):
 
     def __init__(self, err: LabelgenError, options: Sequence[str]) -> None:
         text = " ".join(str(err).split())
-        if options and err.parameters and text.startswith(err.parameters[0]):
+        text = _name_options(text)
+        if options and err.parameters and re.match(rf"{re.escape(err.parameters[0])}(?![\w.])", text):
             text = options[0] + text.removeprefix(err.parameters[0])
         elif options and not any(option in text for option in options):
             text += f" (option{'s' if len(options) > 1 else ''} {', '.join(options)})"
@@ -198,7 +209,7 @@ class _LineFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         word = "note" if record.levelno == logging.INFO else record.levelname.lower()
-        return hide_passwords(printable(f"{word}: {record.getMessage()}"))
+        return hide_passwords(printable(f"{word}: {_name_options(record.getMessage())}"))
 
 
 class _Once(logging.Filter):

@@ -110,7 +110,7 @@ class CocoMasks:
         if self._checked_wh is None or any(self._usable.get(entry) for entry in taken):
             return None
         reasons = [line.removeprefix(f"{self.path.name}: ") for line in self.problems]
-        parameter = "scale_masks" if any("scale_masks" in reason for reason in reasons) else None
+        parameter = next((name for name in ("scale_masks", "classes") if name in " ".join(reasons).split()), None)
         if not reasons:
             return None  # a scene without vehicles
         text = "; ".join(reasons)

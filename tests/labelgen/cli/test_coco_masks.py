@@ -53,6 +53,16 @@ def test_names_of_frames(labelgen, clip: Path, tmp_path: Path, name: str, first:
     done, report = _bcs_masks(labelgen, clip, tmp_path, _named(clip, name, first), *options)
     assert (done.returncode, report["images"], report["labels"]) == (0, 6, 12)
     assert done.stderr.count(told) == 1
+    assert "first_frame" not in done.stderr
+
+
+def test_a_file_named_like_an_option_keeps_its_name(labelgen, clip: Path, tmp_path: Path) -> None:
+    data = _named(clip, "{:06d}.png", 1)
+    data["images"] = [image for image in data["images"] if image["id"] in (3, 10)]
+    (tmp_path / "every_5.json").write_text(json.dumps(data))
+    done = labelgen("bcs-masks", clip, "--masks", "coco:every_5.json", "--every", 9, "--out", "out")
+    assert done.returncode == 2
+    assert "error: every_5.json: no vehicles found: every 9: no annotated frame is among these" in done.stderr
 
 
 def test_the_other_videos_entries_are_left_out(labelgen, clip: Path, tmp_path: Path) -> None:
