@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardDataset
 from labelgen.shards.index import read_index
 
-__all__ = ["Originals"]
+__all__ = ["Originals", "chosen_stream"]
 
 
 class Originals:
@@ -41,8 +41,8 @@ class Originals:
         """Return where the original of a sample lies.
 
         Returns:
-            `path`, `calibration`, `road_mask`, `masks` and `weights` for a video, `images` for a folder of images;
-            empty where unknown.
+            `path`, `calibration`, `road_mask`, `masks`, `weights` and, if it was chosen, `stream` for a video;
+            `images` for a folder of images; empty where unknown.
         """
         return self._places.get(self._data.locate(index)[0].path, {})
 
@@ -54,9 +54,11 @@ class Originals:
         """
         images: dict[int, NDArray[np.uint8] | None] = dict.fromkeys(indices)
         videos: dict[Path, dict[int, list[int]]] = {}
+        streams: dict[Path, int | None] = {}
         for index in images:
             place, sample = self.place(index), self._data[index]
             if place.get("path"):
+                streams[Path(place["path"])] = chosen_stream(place)
                 videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(index)
             elif place.get("images") and not _leads_out(sample.source):
                 try:
@@ -68,12 +70,18 @@ class Originals:
                 continue
             last = max(wanted)
             with contextlib.suppress(DataError):  # damaged meanwhile
-                for frame in open_frames(path).frames(wanted.__contains__):
+                for frame in open_frames(path, stream=streams[path]).frames(wanted.__contains__):
                     for index in wanted[frame.number]:
                         images[index] = frame.image
                     if frame.number >= last:
                         break
         return images
+
+
+def chosen_stream(place: Mapping[str, Any]) -> int | None:
+    """Return the number of the video stream that was asked for when labels were made; None for none."""
+    number = str(place.get("stream") or "")
+    return int(number) if number.isdecimal() and len(number) < 6 else None
 
 
 def _leads_out(name: str) -> bool:

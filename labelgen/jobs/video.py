@@ -260,6 +260,7 @@ class VideoUnit:
             "road_mask": str(self.files.mask_path.resolve()),
             "masks": f"{kind}:{file.resolve()}" if file else str(kind),
             "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
+            **({} if self.files.stream is None else {"stream": str(self.files.stream)}),
         }
 
     def rectification(self, scene: Scene) -> Rectification:

@@ -18,6 +18,7 @@ from speed_scenes import Drive, frame_times, write_scene
 from stream_server import serve_stream
 
 from labelgen.cli.main import main
+from labelgen.shards import ShardDataset
 
 DRIVES = [Drive(60.0, 38.0, 2.0), Drive(72.0, 16.0, -3.0, 1), Drive(48.0, 60.0, 2.2)]
 SPEEDS = [48.0, 60.0, 72.0]
@@ -218,6 +219,19 @@ def test_another_stream_of_a_file(labelgen: Any, scene: Path, tmp_path: Path) ->
     refused = labelgen(*command, "--out", "b", "--stream", 2)
     assert refused.returncode == 2
     assert "--stream 2" in refused.stderr
+
+
+def test_labels_of_a_raw_stream_carry_the_given_rate(labelgen: Any, scene: Path, tmp_path: Path) -> None:
+    path = encode(beside(scene, tmp_path) / "road.h264", pictures(scene), rate=25, codec="libx264", kind="h264")
+    masks = f"coco:{scene / 'masks.json'}"
+    command = ("bcs-masks", path, "--masks", masks, "--every", 10)
+    assert labelgen(*command, "--fps", FPS, "--stream", 0, "--out", "a").returncode == 0
+    samples = ShardDataset(tmp_path / "a")
+    found = [(samples[n].frame, samples[n].time_s) for n in range(len(samples))]
+    assert [time_s for _, time_s in found] == pytest.approx([frame / FPS for frame, _ in found])
+    assert labelgen("validate", "a").returncode == 0
+    assert labelgen("audit", "a", "--out", "looked").returncode == 0
+    assert labelgen(*command, "--out", "b").returncode == 0  # labels need no times
 
 
 # -- streams ----------------------------------------------------------------------------------------------------------
