@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 __all__ = ["ProblemCounts", "count_of"]
 
 
@@ -9,18 +12,21 @@ class ProblemCounts:
     """Counts of skipped items by kind; the memory does not grow with the number of items."""
 
     def __init__(self) -> None:
-        self._kinds: dict[tuple[str, str], tuple[int, str]] = {}
+        self._kinds: dict[tuple[str, str], list[Any]] = {}
 
-    def add(self, kind: str, example: str, *, noun: str = "annotation") -> None:
+    def add(self, kind: str, example: str | Callable[[], str], *, noun: str = "annotation") -> None:
         """Count one skipped item.
 
         Args:
             kind: what is wrong, the same for all items of a kind.
-            example: the item and what is wrong with it; the first of a kind is told.
+            example: the item and what is wrong with it, or a function that returns that; the first of a kind is told.
             noun: what the item is.
         """
-        count, first = self._kinds.get((noun, kind), (0, example))
-        self._kinds[noun, kind] = (count + 1, first)
+        known = self._kinds.get((noun, kind))
+        if known is None:
+            self._kinds[noun, kind] = [1, example if isinstance(example, str) else example()]
+        else:
+            known[0] += 1
 
     def lines(self) -> list[str]:
         """Return one line for each kind, in the order in which the kinds came."""

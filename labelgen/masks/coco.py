@@ -146,7 +146,7 @@ class CocoMasks:
         try:
             if self._clip.file_names is None:
                 return match_video(self._file.entries, self._clip, self._options.first_frame)
-            return match_files(self._file.entries, self._clip.file_names, self._clip)
+            return match_files(self._file.entries, self._clip.file_names, self._clip, self._options.first_frame)
         except DataError as err:
             raise DataError(f"{self.path}: {err}", parameter=err.parameters) from None
 
@@ -163,6 +163,7 @@ class CocoMasks:
         if name not in self._found:
             entries = self._file.entries
             if name:
+                # The position of one image among the others is not known here, its number is.
                 by_name = match_files(entries, [name], self._clip).by_name
                 self._found[name] = EntryMatch(unnamed_by_number(entries), by_name)
             else:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -120,7 +121,7 @@ class CocoFile:
         for category in categories if self._named else ():
             keys = _id_keys(category.get("id")) if isinstance(category, dict) else ()
             if not keys:
-                self.problems.add("without an id", f"category without an id: {str(category)[:60]}", noun="category")
+                self.problems.add("without an id", partial(_no_id, "category", category), noun="category")
                 continue
             name = str(category.get("name", "")).strip().lower()
             names = (name, *(str(key).lower() for key in keys))
@@ -155,7 +156,7 @@ class CocoFile:
         for entry in images:
             keys = _id_keys(entry.get("id")) if isinstance(entry, dict) else ()
             if not keys:
-                self.problems.add("without an id", f"image entry without an id: {str(entry)[:60]}", noun="image entry")
+                self.problems.add("without an id", partial(_no_id, "image entry", entry), noun="image entry")
                 continue
             number = len(self.entries)
             name = _file_name(entry.get("file_name"))
@@ -196,15 +197,14 @@ class CocoFile:
         counts: Counter[_Id] = Counter()
         for index, annotation in enumerate(annotations):
             if not isinstance(annotation, dict):
-                self.problems.add("not a JSON object", f"annotation number {index}: not a JSON object")
+                self.problems.add("not a JSON object", partial("annotation number {}: not a JSON object".format, index))
                 continue
-            label = f"annotation {str(annotation.get('id', f'number {index}'))[:40]}"
             image_id, category = annotation.get("image_id"), annotation.get("category_id")
             entry = next((self._entry_of[key] for key in _id_keys(image_id) if key in self._entry_of), None)
-            keys = _id_keys(category)
             if entry is None:
-                self.problems.add("no image of this id", f"{label}: no image with id {repr(image_id)[:60]}")
+                self.problems.add("no image of this id", partial(_no_image, annotation, index))
                 continue
+            label, keys = _label(annotation, index), _id_keys(category)
             known = next((key for key in keys if key in self._classes or key in self._other_names), None)
             if known is None and all(isinstance(key, str) for key in keys):
                 self.problems.add(
@@ -276,11 +276,25 @@ def whole_number(value: Any) -> int | None:
 
 def _id_keys(value: Any) -> tuple[_Id, ...]:
     """Return the keys under which an id is looked up: as it is written, and as a whole number."""
+    if value is None:
+        return ()
     number = whole_number(value)
     if isinstance(value, str):
         text = value.strip()
         return () if not text else (text,) if number is None else (text, number)
     return () if number is None else (number,)
+
+
+def _label(annotation: dict[str, Any], index: int) -> str:
+    return f"annotation {str(annotation.get('id', f'number {index}'))[:40]}"
+
+
+def _no_image(annotation: dict[str, Any], index: int) -> str:
+    return f"{_label(annotation, index)}: no image with id {repr(annotation.get('image_id'))[:60]}"
+
+
+def _no_id(noun: str, item: Any) -> str:
+    return f"{noun} without an id: {str(item)[:60]}"
 
 
 def _is_crowd(value: Any) -> bool:

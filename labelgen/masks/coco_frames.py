@@ -99,7 +99,8 @@ def match_video(entries: Sequence[ImageEntry], clip: Clip, first_frame: int | No
             raise _ambiguous(chosen, clip)
         repeated += 1
     problems = []
-    first, note = _first_number(list(by_number.values()), clip, first_frame)
+    is_stated = any(item.is_stated for item in by_number.values())
+    first, note = _first_number(list(by_number), clip.frame_count, first_frame, is_stated)
     if note:
         problems.append(note)
     frames = {number - first: item.entry for number, item in by_number.items()}
@@ -124,13 +125,16 @@ def match_video(entries: Sequence[ImageEntry], clip: Clip, first_frame: int | No
     return EntryMatch(frames, {}, usage, tuple(problems), no_frames)
 
 
-def match_files(entries: Sequence[ImageEntry], files: Sequence[str], clip: Clip) -> EntryMatch:
+def match_files(
+    entries: Sequence[ImageEntry], files: Sequence[str], clip: Clip, first_frame: int | None = None
+) -> EntryMatch:
     """Find the entries of the images of a folder.
 
     Args:
         entries: of the file.
         files: names of the images, in the order of the frames.
         clip: the folder; its path may be empty where it is not known.
+        first_frame: number that the file gives to the first image, where it names none by its file.
 
     Raises:
         DataError: several entries name the same image, and nothing tells which is meant.
@@ -163,7 +167,7 @@ def match_files(entries: Sequence[ImageEntry], files: Sequence[str], clip: Clip)
             by_name[names[0]] = candidates[0]
             claimed.update(candidates)
             repeated += len(candidates) - 1
-    by_number = _unnamed_by_index(entries, files, claimed) if len(files) > 1 or clip.path.name else {}
+    by_number, note = _unnamed_by_index(entries, files, claimed, first_frame)
     used = len(by_name) + len(by_number)
     left = len(entries) - used - repeated
     usage = _usage(used, len(entries), {"name the same image": repeated, "name no image of the folder": left})
@@ -174,7 +178,9 @@ def match_files(entries: Sequence[ImageEntry], files: Sequence[str], clip: Clip)
     elif clip.every > 1 and entries:
         position = {name: number for number, name in enumerate(files)}
         no_frames = _missed_by_every(sorted({*by_number, *(position[name] for name in by_name)}), clip)
-    return EntryMatch(by_number, by_name, usage, (usage,) if left or repeated else (), no_frames)
+    return EntryMatch(
+        by_number, by_name, usage, tuple([usage] * bool(left or repeated) + [note] * bool(note)), no_frames
+    )
 
 
 def unnamed_by_number(entries: Sequence[ImageEntry]) -> dict[int, int]:
@@ -265,19 +271,25 @@ def _ambiguous(chosen: Iterable[_Named], clip: Clip) -> DataError:
     )
 
 
-def _first_number(named: list[_Named], clip: Clip, given: int | None) -> tuple[int, str | None]:
-    """Return the number of the first frame, and a note where it is not what the file's user would expect."""
+def _first_number(counted: list[int], total: int | None, given: int | None, is_stated: bool) -> tuple[int, str | None]:
+    """Return the number of the first frame, and a note where it is not what the file's user would expect.
+
+    Args:
+        counted: numbers of frames, as the file counts.
+        total: number of frames there are, where known.
+        given: number of the first frame, where the user says it.
+        is_stated: whether the file states frame numbers by a key of its own, so that they are not shifted.
+    """
     if given is not None:
         return given, None
-    counted = [item.number for item in named]
     if not counted:
         return 0, None
-    low, high, total = min(counted), max(counted), clip.frame_count
-    if total and low > 0 and not any(item.is_stated for item in named):
+    low, high = min(counted), max(counted)
+    if total and low > 0 and not is_stated:
         is_whole = len(set(counted)) == high - low + 1 == total
         if is_whole or (low == 1 and high == total):
             return low, (
-                f"its frames are numbered {low} to {high}, the video has {total}: {low} is taken as the first frame "
+                f"its frames are numbered {low} to {high}, there are {total}: {low} is taken as the first frame "
                 "(first_frame 0 if it is not)"
             )
     if low == 1:
@@ -357,16 +369,22 @@ def _is_video_frame(entry: ImageEntry) -> bool:
     return entry.frame is not None and PurePosixPath(entry.name).suffix.lower() not in _PICTURE_SUFFIXES
 
 
-def _unnamed_by_index(entries: Sequence[ImageEntry], files: Sequence[str], claimed: set[int]) -> dict[int, int]:
-    """Return the entries without a picture's name by frame: by the number that images are named by, or by position."""
+def _unnamed_by_index(
+    entries: Sequence[ImageEntry], files: Sequence[str], claimed: set[int], first_frame: int | None
+) -> tuple[dict[int, int], str]:
+    """Return the entries without a picture's name by frame, and a note on how they are counted.
+
+    Their number is the one that all images are named by, or the position of the image.
+    """
     stems = [PurePosixPath(name).stem for name in files]
     numbered = {k: e.id_number for k, e in enumerate(entries) if e.id_number is not None and k not in claimed}
+    stated = {k: e.frame for k, e in enumerate(entries) if e.frame is not None and k not in claimed}
     positions = {int(stem): at for at, stem in enumerate(stems) if stem.isascii() and stem.isdigit()}
-    if len(positions) == len(files) and set(numbered.values()) <= set(positions):
+    note: str | None = None
+    if not stated and len(positions) == len(files) and set(numbered.values()) <= set(positions):
         frames = {positions[number]: k for k, number in numbered.items()}
     else:
-        frames = {number: k for k, number in numbered.items() if 0 <= number < len(files)}
-    for k, entry in enumerate(entries):
-        if entry.frame is not None and k not in claimed and 0 <= entry.frame < len(files):
-            frames.setdefault(entry.frame, k)
-    return frames
+        counts = {**numbered, **stated}
+        first, note = _first_number(list(counts.values()), len(files), first_frame, bool(stated))
+        frames = {number - first: k for k, number in reversed(counts.items()) if 0 <= number - first < len(files)}
+    return frames, note or ""

@@ -205,7 +205,10 @@ def test_files_that_differ_in_their_suffix_only_keep_their_own_entries() -> None
     [
         (["000010.jpg", "000020.jpg"], [20], {1: 0}),
         (["000010.jpg", "000020.jpg"], [0, 1], {0: 0, 1: 1}),
-        (["a.jpg", "b.jpg"], [1, 7], {1: 0}),
+        (["a.jpg", "b.jpg"], [0, 7], {0: 0}),
+        # Image ids of COCO files mostly begin with 1.
+        (["a.jpg", "b.jpg"], [1, 2], {0: 0, 1: 1}),
+        (["000001.jpg", "000002.jpg"], [1, 2], {0: 0, 1: 1}),
     ],
 )
 def test_numbers_of_results_are_file_names_or_positions(
@@ -213,6 +216,15 @@ def test_numbers_of_results_are_file_names_or_positions(
 ) -> None:
     entries = [ImageEntry(id_number=number) for number in numbers]
     assert match_files(entries, files, Clip(Path("imgs"), None, 2, tuple(files))).by_number == expected
+
+
+def test_positions_counted_from_1_are_told() -> None:
+    clip = Clip(Path("imgs"), None, 2, ("a.jpg", "b.jpg"))
+    entries = [ImageEntry(id_number=number) for number in (1, 2)]
+    (note,) = match_files(entries, ["a.jpg", "b.jpg"], clip).problems
+    assert "1 is taken as the first frame" in note
+    assert match_files(entries, ["a.jpg", "b.jpg"], clip, 0).by_number == {1: 0}
+    assert match_files(entries, ["a.jpg", "b.jpg"], clip, 1).problems == ()
 
 
 def test_names_of_no_image_of_the_folder_are_shown() -> None:
