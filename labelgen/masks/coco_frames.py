@@ -119,7 +119,7 @@ def match_video(entries: Sequence[ImageEntry], clip: Clip, first_frame: int | No
     no_frames = None
     if not used and entries:
         reason = _why_none(sorted(frames), first, clip)
-        no_frames = DataError(f"{usage}: {reason}", parameter="first_frame")
+        no_frames = DataError(f"{usage}: {reason}", parameter="first_frame" if frames else None)
     elif clip.every > 1 and entries:
         no_frames = _missed_by_every(sorted(frames), clip)
     return EntryMatch(frames, {}, usage, tuple(problems), no_frames)
