@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from labelgen.errors import DataError
+from labelgen.errors import DataError, NoVehiclesError
 from labelgen.json_file import read_json
 from labelgen.labels import VehicleClass
 from labelgen.masks.coco_options import CLASS_BY_NAME
@@ -144,7 +144,7 @@ class CocoFile:
             )
         if self._named and not classes:
             found = ", ".join(sorted(set(others.values()))[:10]) or "none"
-            raise DataError(
+            raise NoVehiclesError(
                 f"{self.path}: none of its categories is a vehicle (found {found}); name them "
                 f"{', '.join(CLASS_BY_NAME)}, or say which are vehicles, as {_example_class(others)}=car",
                 parameter="classes",

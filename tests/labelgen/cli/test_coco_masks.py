@@ -92,6 +92,7 @@ def test_the_other_videos_entries_are_left_out(labelgen, clip: Path, tmp_path: P
         ({"category_id": 1}, [], "60 annotations of other categories (60 id 1) left out"),
         ({"segmentation": None}, [], "60 annotations skipped: it has no segmentation, such as annotation 1"),
         ({"size": (1280, 720)}, [], "60 masks made for frames of 1280x720 px, but the frames are 640x360"),
+        ({"names": "suv"}, [], "none of its categories is a vehicle (found suv); name them car"),
         ({"category_id": 0}, [], "its class ids begin with 0, which COCO's do not; say what they mean"),
     ],
 )
@@ -110,6 +111,8 @@ def test_nothing_to_label_is_one_line_with_the_reason(
         a.update({key: value for key, value in change.items() if key in ("category_id", "segmentation")})
         if "size" in change:
             a["segmentation"] = [[10, 10, 900, 10, 900, 700]]
+    for category in data["categories"]:
+        category["name"] = change.get("names", category["name"])
     if "category_id" in change:
         del data["categories"]
     for image in data["images"]:
