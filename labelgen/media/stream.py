@@ -6,6 +6,7 @@ resolution while it runs. `VideoStream.failure` says afterwards why an iteration
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import time
@@ -233,6 +234,9 @@ class VideoStream:
             for frame in decoded:
                 count += 1
                 yield arrival_s, frame
+        with contextlib.suppress(FFmpegError, EOFError):
+            for frame in stream.codec_context.decode(None):  # what the decoder still holds
+                yield time.monotonic(), frame
         if damaged:
             self.problems.append(f"{count_of(damaged, 'damaged packet')} skipped")
 

@@ -68,7 +68,7 @@ class Observations:
     Args:
         size_wh: px of the frames.
         fps: frame rate; None where the source states none.
-        duration_s: time of the last frame used, seconds.
+        duration_s: how much of the video was shown up to the last frame used, seconds.
         tracks: features on moving things, in order of their end.
         edgelets: (N, 5) straight edges on moving things: x0, y0, x1, y1 in px, and time in seconds.
         shifts: (L,) displacement of the camera within a few seconds, per sampled frame, as a share of the frame's
@@ -118,30 +118,35 @@ def observe(
     if duration_s is not None:
         count = min(count or 2**31, math.ceil(duration_s * fps))
     step = max(1, round(fps / settings.track_fps))
-    frames_read, time_s, check_s, ended = 0, 0.0, settings.first_check_s, True
-    lead_s = 0.0  # by how much the frames' times are ahead of their numbers: by gaps, or an uneven frame rate
+    frames_read, shown_s, check_s, ended = 0, 0.0, settings.first_check_s, True
+    gaps_s = 0.0
+    lead_s = 0.0  # by how much what is shown is ahead of the frames' numbers, with an uneven frame rate
     with progress_bar(count, "frame", "watching") as advance:
         sampler = _StretchSampler(settings.stretch_s)
-        frames = source.frames(lambda n: n % step == 0 and n / fps + lead_s >= sampler.next_s, lambda: sampler.next_s)
+        frames = source.frames(
+            lambda n: n % step == 0 and n / fps + lead_s >= sampler.next_s, lambda: sampler.next_s + gaps_s
+        )
         for frame in frames:
             time_s = frame.time_s if math.isfinite(frame.time_s) else frame.number / fps
-            if abs(time_s - frame.number / fps - lead_s) > settings.max_lead_frames / fps:
-                lead_s = time_s - frame.number / fps
-            if duration_s is not None and time_s - frame.gaps_s >= duration_s:
+            gaps_s = frame.gaps_s
+            shown_s = time_s - gaps_s
+            if abs(shown_s - frame.number / fps - lead_s) > settings.max_lead_frames / fps:
+                lead_s = shown_s - frame.number / fps
+            if duration_s is not None and shown_s >= duration_s:
                 break
-            sampler.update(time_s, observation_pass.stretch_period())
+            sampler.update(shown_s, observation_pass.stretch_period())
             observation_pass.update(frame, time_s)
             advance(frame.number + 1 - frames_read)
             frames_read = frame.number + 1
-            if enough is not None and time_s >= check_s:
+            if enough is not None and shown_s >= check_s:
                 check_s *= settings.check_growth
-                if enough(observation_pass.observations(source, time_s, ended=False)):
+                if enough(observation_pass.observations(source, shown_s, ended=False)):
                     ended = False
                     break
     if not frames_read:
         raise DataError(f"{source.path}: no frame could be read; is it a video?")
     background = observation_pass.finish()
-    return observation_pass.observations(source, time_s, ended=ended, background=background)
+    return observation_pass.observations(source, shown_s, ended=ended, background=background)
 
 
 class _StretchSampler:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
+import av
 import numpy as np
 import pytest
 from speed_scenes import write_video
@@ -72,7 +75,7 @@ def test_a_stream_that_stalls(tmp_path: Path) -> None:
     with serve_stream(recording(tmp_path / "a.ts", STEADY), stall=True) as url:
         stream = VideoStream(url, stall_s=0.5)
         frames = list(stream.frames())
-    assert len(frames) >= 40
+    assert len(frames) >= 48
     assert "stalled, no data for 0.5 s" in str(stream.failure)
     assert TimedFrames(stream).failure is stream.failure
     assert TimedFrames(stream).is_live
@@ -95,6 +98,33 @@ def test_a_stream_that_changes_its_resolution(tmp_path: Path) -> None:
         frames = list(stream.frames())
     assert {f.image.shape for f in frames} == {(48, 64, 3)}
     assert "resolution changed from 64x48 to 96x64" in str(stream.failure)
+
+
+def test_a_stream_of_pixels_that_are_not_square(tmp_path: Path) -> None:
+    path = tmp_path / "a.ts"
+    with av.open(str(path), "w", format="mpegts") as container:
+        video: Any = container.add_stream("libx264", rate=10, options={"tune": "zerolatency"})
+        video.width, video.height, video.pix_fmt = 96, 96, "yuv420p"
+        video.codec_context.sample_aspect_ratio = Fraction(4, 3)
+        for _ in range(20):
+            container.mux(video.encode(av.VideoFrame.from_ndarray(np.zeros((96, 96, 3), np.uint8), format="bgr24")))
+        container.mux(video.encode(None))
+    with serve_stream(path.read_bytes()) as url:
+        stream = VideoStream(url, stall_s=5)
+        frames = list(stream.frames())
+    assert stream.size_wh == (128, 96)
+    assert {frame.image.shape for frame in frames} == {(96, 128, 3)}
+    assert "1.333 times as wide as high" in stream.notes[0]
+
+
+def test_a_stream_whose_clock_starts_anew(tmp_path: Path) -> None:
+    data = recording(tmp_path / "a.ts", STEADY)
+    with serve_stream(data + data) as url:
+        stream = VideoStream(url, stall_s=5)
+        found = [frame.time_s for frame in stream.frames()]
+    assert len(found) >= 96
+    assert np.diff(found) == pytest.approx(0.04, abs=0.002)
+    assert any("the clock jumped back 1 time" in problem for problem in stream.problems)
 
 
 @pytest.mark.parametrize("data", [b"", b"<html>no camera here</html>" * 50])
