@@ -12,10 +12,10 @@ from detector.speed.contact_point import MaskExtent
 from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
 from detector.speed.mask_detections import MaskDetections, MaskPlacer
-from detector.speed.measurement import MeasurementView
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import FrameDetections, detect, with_frames
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rule
@@ -73,7 +73,8 @@ class MaskSpeedSettings:
             )
         if self.variant is Variant.SOCHOR and background:
             raise LabelgenError(
-                "variant sochor: detections must say which blobs are vehicles; use masks of maskrcnn or coco:FILE",
+                "variant sochor: detections must say which silhouettes are vehicles; use masks of maskrcnn or "
+                "coco:FILE",
                 parameter="variant",
             )
 

@@ -18,6 +18,7 @@ from labelgen.cli.options import (
     print_table,
     write_json_report,
 )
+from labelgen.progress import progress_bar
 
 if TYPE_CHECKING:
     from detector.inference import Detector
@@ -76,19 +77,18 @@ _Line = tuple[str, int, Any]
 
 def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | None) -> tuple[int, int]:
     import cv2
-    from tqdm import tqdm
 
     count = total = 0
     with ExitStack() as stack:
         file = stack.enter_context(target.open("w", encoding="utf-8"))
-        bar = stack.enter_context(tqdm(unit="img"))
+        advance = stack.enter_context(progress_bar(None, "img"))
         file.write(first[0])
-        for text, found, draw in lines:
+        for text, number, draw in lines:
             file.write(text)
             if pictures is not None:
                 cv2.imwrite(str(pictures / f"{count:06d}.jpg"), draw())
-            count, total = count + 1, total + found
-            bar.update()
+            count, total = count + 1, total + number
+            advance(1)
     return count, total
 
 
@@ -107,9 +107,9 @@ def _of_frames(
     model = DetectorDetections(detector, view)
     yield detections_head(view, scene.frames.fps or scene.fps), 0, None
     coming = islice(scene.frames.frames(lambda number: number % every == 0), limit)
-    for frame, found in model.detections(coming):
-        text = json.dumps(found.to_dict()) + "\n"
-        yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
+    for frame, detections in model.detections(coming):
+        text = json.dumps(detections.to_dict()) + "\n"
+        yield text, len(detections), lambda frame=frame, placed=detections: draw_detections(view, frame.image, placed)
 
 
 def _of_shards(detector: Detector, source: Path, limit: int | None) -> Iterator[_Line]:
