@@ -80,10 +80,10 @@ class MaskSpeedSettings:
 
     @property
     def mask_extent(self) -> MaskExtent | None:
-        """What the masks' outlines are of; None where measured points are left on them."""
+        """What the masks cover; None to leave measured points uncorrected."""
         if not self.correct_contact_point:
             return None
-        # The outlines of `sochor` are a background model's, too.
+        # The masks of `sochor` come from a background model, too.
         shaded = parse_masks(self.masks)[0] is MaskKind.BACKGROUND or self.variant is Variant.SOCHOR
         return MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
 
