@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from labelgen.shards.index import DatasetSummary
 
 __all__ = [
+    "APP_SETTINGS",
     "CalibrationOption",
     "ContactPoint",
     "Cover",
@@ -40,6 +41,14 @@ __all__ = [
 ]
 
 _log = logging.getLogger(__name__)
+
+# Of every Typer application: no completion to install, plain help.
+APP_SETTINGS: dict[str, Any] = {
+    "add_completion": False,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 110},
+}
 
 
 class ContactPoint(StrEnum):
@@ -163,6 +172,8 @@ def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_fil
     if out is not None:
         rows.append(("in", out))
     print_table(rows)
+    for line in summary.notes:
+        _log.info("%s", line)
     for warning in summary.warnings:
         _log.warning("%s", warning)
     write_json_report(json_file, {**summary.to_dict(), **({"out": str(out)} if out is not None else {})})

@@ -43,6 +43,7 @@ class DatasetSummary:
         shards: number of files.
         reasons: number of rejects by reason.
         warnings: problems that a user must know.
+        notes: what else there is to say.
         extra: further figures, by name.
     """
 
@@ -52,6 +53,7 @@ class DatasetSummary:
     shards: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -62,7 +64,7 @@ class DatasetSummary:
             "rejects": self.rejects,
             "shards": self.shards,
             "rejects_by_reason": dict(sorted(self.reasons.items())),
-            "warnings": self.warnings,
+            "warnings": [*self.warnings, *self.notes],
             **self.extra,
         }
 
