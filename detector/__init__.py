@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from detector.metrics import evaluate_detections
     from detector.model.retinanet import ModelConfig
     from detector.speed.detections import Detections
-    from detector.speed.measured_vehicle import MeasuredVehicle
-    from detector.speed.measurement import MeasurementView
     from detector.speed.meter import MeasureRules, SpeedMeter
     from detector.speed.model_detections import DetectorDetections, model_view
+    from detector.speed.track_speed import MeasuredVehicle
     from detector.speed.variant import Variant
+    from detector.speed.view import MeasurementView
     from detector.tracking.iou_tracker import IouTracker, TrackRules
     from detector.training.config import PRESETS, MachineConfig, Preset, find_preset
     from detector.training.train import TrainSummary, train
@@ -89,8 +89,8 @@ _ROOMS = {
     "detector.metrics": ("evaluate_detections",),
     "detector.model.retinanet": ("ModelConfig",),
     "detector.speed.detections": ("Detections",),
-    "detector.speed.measured_vehicle": ("MeasuredVehicle",),
-    "detector.speed.measurement": ("MeasurementView",),
+    "detector.speed.track_speed": ("MeasuredVehicle",),
+    "detector.speed.view": ("MeasurementView",),
     "detector.speed.meter": ("MeasureRules", "SpeedMeter"),
     "detector.speed.model_detections": ("DetectorDetections", "model_view"),
     "detector.speed.variant": ("Variant",),

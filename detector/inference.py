@@ -24,6 +24,7 @@ from detector.checkpoint import ModelMetadata, load_model
 from detector.device import choose_device, gains_from_half
 from detector.model.retinanet import CcRetinaNet
 from detector.model.vehicle_size import merge_sizes, scene_vector
+from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification
 from labelgen.labels import Labels, Sample
 
@@ -181,7 +182,17 @@ class Detector:
 
         Returns:
             frame (H, W, 3) uint8 BGR -> input of `detect`.
+
+        Raises:
+            LabelgenError: the rectification is of another pair or size than the network was trained on.
         """
+        own, other = (f"{r.pair} {r.size_wh[0]}x{r.size_wh[1]}" for r in (self.metadata, rectification))
+        if own != other:
+            raise LabelgenError(
+                f"rectification: it gives pictures of {other}, this detector sees {own}; make one with its "
+                "metadata.pair and metadata.size_wh",
+                parameter="rectification",
+            )
         scene = _scene_tensor(rectification, camera)
         if self.device.type != "cpu":
             warp = DeviceRectifier(rectification, self.device)

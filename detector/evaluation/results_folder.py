@@ -127,7 +127,7 @@ def _check_files(results: Path, recordings: Sequence[str], names: Sequence[str])
         whole = [r for r in recordings if all((results / r / name).is_file() for name in names)]
         advice = f"all are there for the recordings {','.join(whole)}" if whole else "check the names of the systems"
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise DataError(f"results {missing[0]}: no such file{more}; {advice}", parameter="results")
+        raise DataError(f"results {missing[0]}: no such file{more}; {advice}", parameter=("results", "system"))
 
 
 def score_results(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView
+from detector.speed.view import MeasurementView
 from detector.tracking.iou_tracker import DUPLICATE
 from detector.visualize import draw_boxes
 from labelgen.atomic_files import as_output_error

@@ -27,8 +27,8 @@ import numpy as np
 
 from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
 from labelgen.json_file import parse_json

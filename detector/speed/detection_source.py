@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView
+from detector.speed.view import MeasurementView
 from labelgen.media.frames import Frame, FrameSource
 
 __all__ = ["DetectionSource"]

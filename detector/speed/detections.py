@@ -15,7 +15,7 @@ __all__ = ["Detections", "inside_larger_box"]
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """N vehicles detected in one frame; made by `detector.speed.measurement.MeasurementView.place`.
+    """N vehicles detected in one frame; made by `detector.speed.view.MeasurementView.place`.
 
     Args:
         frame: number of the frame.

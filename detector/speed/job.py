@@ -14,10 +14,10 @@ from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
 from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskDetections, MaskPlacer
-from detector.speed.measurement import MeasurementView
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import FrameDetections, detect, with_frames
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Rule
@@ -88,16 +88,17 @@ class MaskSpeedSettings:
             )
         if self.variant is Variant.SOCHOR and background:
             raise LabelgenError(
-                "variant sochor: detections must say which blobs are vehicles; use masks of maskrcnn or coco:FILE",
+                "variant sochor: detections must say which silhouettes are vehicles; use masks of maskrcnn or "
+                "coco:FILE",
                 parameter="variant",
             )
 
     @property
     def mask_extent(self) -> MaskExtent | None:
-        """What the masks' outlines are of; None where measured points are left on them."""
+        """What the masks cover; None to leave measured points uncorrected."""
         if not self.correct_contact_point:
             return None
-        # The outlines of `sochor` are a background model's, too.
+        # The masks of `sochor` come from a background model, too.
         shaded = parse_masks(self.masks)[0] is MaskKind.BACKGROUND or self.variant is Variant.SOCHOR
         return MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.errors import RectificationError
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
 from labelgen.labeling.from_masks import LabelLimits, label_masks

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections, inside_larger_box
-from detector.speed.measured_vehicle import SPEED_GAP, MeasuredVehicle, TrackPoints, measure_track
+from detector.speed.track_speed import SPEED_GAP, MeasuredVehicle, TrackPoints, measure_track
 from detector.tracking.iou_tracker import DUPLICATE, IouTracker, TrackRules
 from detector.tracking.per_track import gap_speeds_kmh
 from labelgen.errors import CalibrationError

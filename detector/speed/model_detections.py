@@ -11,8 +11,8 @@ import numpy as np
 from detector.checkpoint import ModelMetadata
 from detector.inference import Detector
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
 from labelgen.media.frames import Frame, FrameSource

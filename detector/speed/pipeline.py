@@ -23,10 +23,10 @@ import numpy as np
 from detector.speed.annotate import AnnotatedVideo
 from detector.speed.detection_source import DetectionSource
 from detector.speed.detections import Detections
-from detector.speed.measured_vehicle import MeasuredVehicle
-from detector.speed.measurement import MeasurementView
 from detector.speed.meter import SpeedMeter
 from detector.speed.results import ResultFiles, ResultWriter
+from detector.speed.track_speed import MeasuredVehicle
+from detector.speed.view import MeasurementView
 from labelgen.media.frames import Frame
 from labelgen.media.prefetch import prefetch
 from labelgen.media.timed_frames import TimedFrames

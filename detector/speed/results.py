@@ -19,8 +19,8 @@ from typing import Any
 from detector.speed.append_file import AppendFile
 from detector.speed.detection_file import detections_head
 from detector.speed.detections import Detections
-from detector.speed.measured_vehicle import MeasuredVehicle
-from detector.speed.measurement import MeasurementView
+from detector.speed.track_speed import MeasuredVehicle
+from detector.speed.view import MeasurementView
 from labelgen.atomic_files import make_folder
 from labelgen.errors import OutputError
 from labelgen.labels import VehicleClass

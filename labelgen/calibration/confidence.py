@@ -168,7 +168,7 @@ def check_observations(
         shifting = float((observations.shifts > settings.max_shift).mean())
         if shifting > settings.max_shifting_share or observations.drift > settings.max_drift:
             how = (
-                f"the whole scene shifts in {shifting:.0%} of the looks"
+                f"the whole scene shifts in {shifting:.0%} of the frames"
                 if shifting > settings.max_shifting_share
                 else f"it turns by {observations.drift:.0%} of the picture's width"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -33,7 +34,7 @@ def audit(
     say("Audit")
     print_table([(chapter, f"{len(pictures)} pictures") for chapter, pictures in made.pictures.items()])
     for note in made.notes:
-        say(f"note: {note}", err=True)
+        logging.getLogger(__name__).warning("%s", note)
     say(f"open {made.page}")
     report = {
         "page": str(made.page),

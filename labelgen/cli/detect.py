@@ -22,6 +22,7 @@ from labelgen.cli.options import (
     write_json_report,
 )
 from labelgen.cli.printing import say
+from labelgen.progress import progress_bar
 
 if TYPE_CHECKING:
     from detector.inference import Detector
@@ -96,19 +97,18 @@ _Line = tuple[str, int, Any]
 
 def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | None) -> tuple[int, int]:
     import cv2
-    from tqdm import tqdm
 
     count = total = 0
     with ExitStack() as stack:
         file = stack.enter_context(target.open("w", encoding="utf-8"))
-        bar = stack.enter_context(tqdm(unit="img"))
+        advance = stack.enter_context(progress_bar(None, "img"))
         file.write(first[0])
-        for text, found, draw in lines:
+        for text, number, draw in lines:
             file.write(text)
             if pictures is not None:
                 cv2.imwrite(str(pictures / f"{count:06d}.jpg"), draw())
-            count, total = count + 1, total + found
-            bar.update()
+            count, total = count + 1, total + number
+            advance(1)
     return count, total
 
 
@@ -127,9 +127,13 @@ def _of_frames(detector: Detector, scene: Scene, every: int, limit: int | None, 
     coming = scene.frames.frames(lambda number: number % every == 0)
     try:
         with closing(coming):  # type: ignore[type-var]
-            for frame, found in model.detections(islice(coming, limit)):
-                text = json.dumps(found.to_dict()) + "\n"
-                yield text, len(found), lambda frame=frame, found=found: draw_detections(view, frame.image, found)
+            for frame, detections in model.detections(islice(coming, limit)):
+                text = json.dumps(detections.to_dict()) + "\n"
+                yield (
+                    text,
+                    len(detections),
+                    lambda frame=frame, placed=detections: draw_detections(view, frame.image, placed),
+                )
     finally:
         problems += [note for note in (untimed, *scene.frames.notes, *scene.notes) if note]
         problems += [*scene.frames.problems, *model.problems]

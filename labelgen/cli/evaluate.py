@@ -35,7 +35,8 @@ def evaluate(
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write cumulative error plots here.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all figures here.")] = None,
     table: Annotated[
-        TableFormat, typer.Option("--format", metavar="text|markdown|csv", help="How to print the tables.")
+        TableFormat,
+        typer.Option("--format", case_sensitive=False, metavar="text|markdown|csv", help="How to print the tables."),
     ] = TableFormat.TEXT,
 ) -> None:
     """Score tracks against ground truth, by the data set's public protocol.

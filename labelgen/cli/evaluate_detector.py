@@ -10,6 +10,7 @@ import typer
 
 from labelgen.cli.options import JsonOption, print_table, write_json_report
 from labelgen.cli.printing import say
+from labelgen.progress import progress_bar
 
 if TYPE_CHECKING:
     from detector.inference import Detector
@@ -48,13 +49,11 @@ def evaluate_detector(
 
 
 def _run(detector: Detector, samples: ShardDataset[Sample], batch: int) -> Iterator[tuple[Sample, Labels]]:
-    from tqdm import tqdm
-
-    with tqdm(total=len(samples), unit="img") as bar:
+    with progress_bar(len(samples), "img") as advance:
         for start in range(0, len(samples), batch):
             part = [samples[i] for i in range(start, min(start + batch, len(samples)))]
             yield from zip(part, detector.detect([detector.input_of_sample(sample) for sample in part]), strict=True)
-            bar.update(len(part))
+            advance(len(part))
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, Any]]:

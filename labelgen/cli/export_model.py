@@ -67,5 +67,5 @@ def _pictures(shards: Path, metadata: ModelMetadata) -> list[NDArray[np.float32]
     from detector.data.dataset import open_shards
 
     samples = open_shards([shards], metadata.pair, metadata.size_wh)
-    chosen = np.unique(np.linspace(0, len(samples) - 1, _CHECKED).astype(int)).tolist()
-    return [samples[i].image[:, :, ::-1].transpose(2, 0, 1).astype(np.float32) / np.float32(255) for i in chosen]
+    numbers = np.unique(np.linspace(0, len(samples) - 1, _CHECKED).astype(int)).tolist()
+    return [samples[i].image[:, :, ::-1].transpose(2, 0, 1).astype(np.float32) / np.float32(255) for i in numbers]

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from labelgen.cli.options import APP_SETTINGS
 from labelgen.cli.printing import say
 from labelgen.errors import LabelgenError
 from labelgen.printable import hide_passwords, printable
@@ -61,7 +62,20 @@ _OPTION_OF = {
     "kinds": "bodies",
     "road_mask_file": "road_mask",
 }
-_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+# Where a library says that something is there already, another place is the other way out.
+_OTHER_WAY = {"overwrite": "out"}
+# Options whose value is one of several words: blanks around it do no harm.
+_WORD_OPTIONS = {
+    "--cover",
+    "--format",
+    "--heading",
+    "--near-end",
+    "--pair",
+    "--region",
+    "--rule",
+    "--variant",
+    "--weather",
+}
 
 
 # Parameters that notes of the library name, and that no other word is like.
@@ -76,13 +90,18 @@ def _name_options(text: str) -> str:
 class _Command(TyperCommand):
     """A command that says in which option a wrong parameter was given."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        words = zip(["", *args], args, strict=False)
+        return super().parse_args(ctx, [arg.strip() if option in _WORD_OPTIONS else arg for option, arg in words])
+
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except LabelgenError as err:
             options = {parameter.name: parameter.opts[0] for parameter in self.params}
-            names = [options.get(name) or options.get(_OPTION_OF.get(name, "")) for name in err.parameters]
-            raise _OptionError(err, [name for name in names if name is not None]) from err
+            parameters = [*err.parameters, *(_OTHER_WAY[name] for name in err.parameters if name in _OTHER_WAY)]
+            names = [options.get(name) or options.get(_OPTION_OF.get(name, "")) for name in parameters]
+            raise _OptionError(err, list(dict.fromkeys(name for name in names if name is not None))) from err
 
 
 class _OptionError(LabelgenError):
@@ -91,10 +110,13 @@ class _OptionError(LabelgenError):
     def __init__(self, err: LabelgenError, options: Sequence[str]) -> None:
         text = " ".join(str(err).split())
         text = _name_options(text)
-        if options and err.parameters and re.match(rf"{re.escape(err.parameters[0])}(?![\w.])", text):
-            text = options[0] + text.removeprefix(err.parameters[0])
-        elif options and not any(option in text for option in options):
-            text += f" (option{'s' if len(options) > 1 else ''} {', '.join(options)})"
+        first = err.parameters[0] if err.parameters else ""
+        # `--from masks:x` is more than the parameter `masks`: there the option stands at the end.
+        leads = bool(first) and re.match(rf"{re.escape(first)}(?![\w.])", text) is not None
+        if options and leads and (options[0] != "--from" or first == "from_"):
+            text = options[0] + text.removeprefix(first)
+        if others := [option for option in options if option not in text]:
+            text += f" (option{'s' if len(others) > 1 else ''} {', '.join(others)})"
         super().__init__(text)
 
 
@@ -103,6 +125,11 @@ class _Commands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(_COMMANDS)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        # The names that Typer suggests for a misspelt one.
+        self.commands = dict.fromkeys(_COMMANDS)  # type: ignore[assignment]
+        return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         entry = _COMMANDS.get(cmd_name)
@@ -114,7 +141,7 @@ class _Commands(TyperGroup):
             for command in function.registered_commands:
                 command.cls = _Command
             return typer.main.get_command(function)
-        application = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
+        application = typer.Typer(**APP_SETTINGS)
         application.command(cmd_name, short_help=entry.help, cls=_Command)(function)
         return typer.main.get_command(application)
 
@@ -127,10 +154,7 @@ app = typer.Typer(
     name="labelgen",
     cls=_Commands,
     no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings=_SETTINGS,
+    **APP_SETTINGS,
 )
 
 
@@ -179,6 +203,9 @@ def _run(arguments: list[str]) -> int:
         context = getattr(err, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
         text = " ".join(message().split()).replace("Value error, ", "")
+        if type(err).__name__ == "NoArgsIsHelpError":
+            typer.echo(message() or (context.get_help() if context is not None else ""), err=True)
+            return 2
         _fail(f"{text.rstrip('.')}{hint}")
     return code if isinstance(code, int) else 0
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from labelgen.shards.index import DatasetSummary
 
 __all__ = [
+    "APP_SETTINGS",
     "CalibrationOption",
     "ClassesOption",
     "ContactPoint",
@@ -52,6 +53,14 @@ __all__ = [
 ]
 
 _log = logging.getLogger(__name__)
+
+# Of every Typer application: no completion to install, plain help.
+APP_SETTINGS: dict[str, Any] = {
+    "add_completion": False,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 110},
+}
 
 # Problems of one run that are printed; --json has all.
 _MAX_PRINTED = 10
@@ -235,5 +244,7 @@ def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_fil
     if out is not None:
         rows.append(("in", out))
     print_table(rows)
+    for line in summary.notes:
+        _log.info("%s", line)
     warn_of([*summary.warnings, *summary.problems])
     write_json_report(json_file, {**summary.to_dict(), **({"out": str(out)} if out is not None else {})})

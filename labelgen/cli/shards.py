@@ -67,11 +67,11 @@ def inspect(shards: ShardsArgument, json_file: JsonOption = None) -> None:
 
 def _distinct(settings: Iterable[dict[str, Any]]) -> Any:
     """The settings all shards share, or the list of those there are."""
-    found: list[dict[str, Any]] = []
+    distinct: list[dict[str, Any]] = []
     for one in settings:
-        if one not in found:
-            found.append(one)
-    return found[0] if len(found) == 1 else found
+        if one not in distinct:
+            distinct.append(one)
+    return distinct[0] if len(distinct) == 1 else distinct
 
 
 def _plain(value: Any) -> str:
@@ -89,10 +89,10 @@ def validate(shards: ShardsArgument, json_file: JsonOption = None) -> None:
 
     check_report_path(json_file)
     problems = validate_shards(shards)
-    broken = {str(path): found for path, found in problems.items() if found}
+    broken = {str(path): lines for path, lines in problems.items() if lines}
     files = [path for path in problems if path.suffix == ".h5"]
-    for path, found in broken.items():
-        for problem in found:
+    for path, lines in broken.items():
+        for problem in lines:
             said = problem.removeprefix(f"{path}: ")
             say(f"labelgen: error: {path}: {said}", err=True)
     report = {"shards": len(files), "valid": not broken, "problems": broken}

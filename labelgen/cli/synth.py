@@ -7,14 +7,25 @@ from typing import Annotated
 
 import typer
 
-from labelgen.cli.options import Heading, JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
+from labelgen.cli.options import (
+    APP_SETTINGS,
+    Heading,
+    JsonOption,
+    OverwriteOption,
+    check_report_path,
+    print_table,
+    write_json_report,
+)
 from labelgen.cli.printing import say
 from labelgen.synth.shading.lighting import Weather
 
 __all__ = ["synth_app"]
 
 synth_app = typer.Typer(
-    name="synth", no_args_is_help=True, help="Render traffic with exact truth, in the layouts of the real data sets."
+    name="synth",
+    no_args_is_help=True,
+    help="Render traffic with exact truth, in the layouts of the real data sets.",
+    **APP_SETTINGS,
 )
 
 _Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write; made if missing.")]

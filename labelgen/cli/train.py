@@ -74,18 +74,18 @@ def train(
     from detector.training.train import train as run
 
     named = weights in ("imagenet", "none")
-    chosen = find_preset(
+    settings = find_preset(
         preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,
         weights=weights if named else None,
     )  # fmt: skip
     if backbone is not None:
-        chosen = replace(chosen, model=replace(chosen.model, backbone=backbone))
+        settings = replace(settings, model=replace(settings.model, backbone=backbone))
     machine = MachineConfig(
         device, int(devices) if re.fullmatch("[0-9]{1,9}", devices) else devices, nodes, strategy, precision, workers,
         checkpoint_every,
     )  # fmt: skip
     summary = run(
-        shards, chosen, out, validation=val or [], weights=Path(weights) if weights and not named else None,
+        shards, settings, out, validation=val or [], weights=Path(weights) if weights and not named else None,
         resume=resume, overwrite=overwrite, seed=seed, machine=machine,
     )  # fmt: skip
     saved = summary.checkpoint.exists()

@@ -4,7 +4,8 @@ Convention:
     Masks are (h, w), any non-zero value being set; pixel (x, y) covers [x, x + 1) x [y, y + 1). Points and hulls are
     (K, 2) float64 px as x, y, x right, y down; boxes (4,) as x0, y0, x1, y1; c_c lies in [0, 1].
     In a rectified mask the box follows pixel borders, and the tangents from VPU touch pixel centres. In a mask of the
-    frame both run obliquely to the pixel grid, and the middle half of each pixel stands for the pixel.
+    frame, box and tangents are oblique to the pixel grid; there a pixel counts as the square of half its side around
+    its centre.
 
 Source: Kocur & Ftacnik 2020, section 3.4 (tangents from VPU, the wider of the two candidates). The published method
 rectifies the mask's pixels. `rectified_outline` rectifies the mask's hull, which rounds nothing to the rectified pixel

@@ -101,7 +101,7 @@ def run_job(job: Job, out: Path, *, overwrite: bool = False, workers: int = 1) -
             staging.publish()
     summary = summarise([ShardReader(shard) for shard in find_shards([out])])
     if staging.resumed:
-        summary.warnings.append(f"went on with an interrupted job: {staging.resumed} shards were there")
+        summary.notes.append(f"went on with an interrupted job: {staging.resumed} shards were there")
     return summary
 
 

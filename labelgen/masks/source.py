@@ -153,7 +153,7 @@ def create_mask_source(
     """
     kind, file = parse_masks(masks)
     if weights is not None and kind is not MaskKind.MASKRCNN:
-        raise LabelgenError(f"weights: only masks maskrcnn takes weights, not masks {masks}", parameter="weights")
+        raise LabelgenError(f"weights: only the mask source maskrcnn takes weights, not {masks}", parameter="weights")
     if file is not None:
         from labelgen.masks.coco import CocoMasks
 

@@ -47,6 +47,7 @@ class DatasetSummary:
         reasons: number of rejects by reason.
         warnings: what a user must know of the data set.
         problems: what was skipped or left out of the input, one line each.
+        notes: what else there is to say.
         extra: further figures, by name.
     """
 
@@ -57,6 +58,7 @@ class DatasetSummary:
     reasons: Counter[str] = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -67,7 +69,7 @@ class DatasetSummary:
             "rejects": self.rejects,
             "shards": self.shards,
             "rejects_by_reason": dict(sorted(self.reasons.items())),
-            "warnings": self.warnings,
+            "warnings": [*self.warnings, *self.notes],
             "problems": self.problems,
             **self.extra,
         }

@@ -158,3 +158,12 @@ def test_a_model_sees_the_region_it_was_trained_on() -> None:
 def test_unknown_devices_are_named() -> None:
     with pytest.raises(LabelgenError, match="device teapot"):
         choose_device("teapot")
+
+
+@pytest.mark.parametrize(("pair", "size_wh"), [(Pair.VP2_VP3, (320, 192)), (Pair.VP1_VP2, (96, 160))])
+def test_a_rectification_of_another_kind_is_refused(pair: Pair, size_wh: tuple[int, int]) -> None:
+    detector = Detector(model(), metadata(), device="cpu")
+    other = Rectification.from_road_mask(CAMERA, ROAD, pair, size_wh)
+    with pytest.raises(LabelgenError, match=r"this detector sees VP2-VP3 160x96") as caught:
+        detector.rectifier(other, CAMERA)
+    assert caught.value.parameters == ("rectification",)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from detector.model.retinanet import build_model
 from detector.training.config import PRESETS
 from labelgen.choices import Pair
 from labelgen.cli.main import main
+from labelgen.geometry import Camera
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -48,9 +51,16 @@ def run_page(page: str, names: dict[str, object]) -> int:
 def write_untrained_checkpoint(path: Path) -> None:
     preset = PRESETS["small"]
     model = build_model(preset.model)
-    metadata = ModelMetadata("small", Pair.VP2_VP3, (640, 360), preset.model, 10.0, [], {})
+    metadata = ModelMetadata("small", Pair.VP2_VP3, (480, 270), preset.model, 10.0, [], {})
     path.parent.mkdir(parents=True)
     torch.save({"state_dict": model.state_dict(), METADATA_KEY: metadata.to_dict()}, path)
+
+
+def test_the_calibration_of_the_guide_is_a_camera() -> None:
+    texts = [text for _, language, text in blocks_of("guides/calibrate.md") if language == "json"]
+    assert texts
+    for text in texts:
+        assert Camera.from_dict(json.loads(text)).scale is not None
 
 
 @pytest.mark.slow
@@ -58,5 +68,6 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.chdir(tmp_path)
     write_untrained_checkpoint(tmp_path / "runs" / "small" / "best.ckpt")
     assert run_page("examples.md", {"__name__": "__main__"}) >= 10
-    for page in ("../README.md", "getting-started/quickstart.md", "reference/shard-format.md"):  # on the same shards
+    shutil.copytree("shards/examples", "shards/clip")
+    for page in ("../README.md", "getting-started/quickstart.md", "reference/shard-format.md"):
         assert run_page(page, {"__name__": "__main__"}) == 1

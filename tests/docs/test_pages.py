@@ -79,8 +79,8 @@ def test_modules_that_a_page_runs_exist(page: Path) -> None:
     assert [path for path in paths if not (path.with_suffix(".py").exists() or path.is_dir())] == []
 
 
-def test_ten_tasks_of_a_stranger_name_their_folders() -> None:
-    section = (ROOT / "docs/architecture.md").read_text("utf-8").split("## Ten tasks")[1]
+def test_tasks_of_a_newcomer_name_their_folders() -> None:
+    section = (ROOT / "docs/architecture.md").read_text("utf-8").split("## Tasks and where")[1]
     assert sum(line.startswith("| ") for line in section.splitlines()) >= 12  # two lines of the head
 
 

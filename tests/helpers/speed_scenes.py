@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from detector.speed.detections import Detections
-from detector.speed.measurement import MeasurementView
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.geometry import Camera, Pair, RoadMask, encode_boxes, road_cuboids
 from labelgen.geometry.homography import bounding_boxes
 

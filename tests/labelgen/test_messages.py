@@ -49,12 +49,32 @@ def test_no_message_of_the_library_names_an_option() -> None:
         (("boxcars", "--root", "none", "--size", "9x9"), "--size 9x9: unknown size"),
         (("speed", "none.mp4", "--out", "out", "--from", "x"), "--from x: unknown"),
         (("rectify", "none.mp4", "--out", "p.png"), "none.mp4: no such file or folder"),
+        (("bcs-masks", "none.mp4", "--masks", "foo"), "--masks foo: unknown mask source"),
+        (
+            ("speed", "none.mp4", "--out", "out", "--from", "masks:foo"),
+            "masks foo: unknown mask source; use one of maskrcnn, background, coco:FILE (option --from)",
+        ),
+        (
+            ("synth", "session", "--out", "out", "--replay"),
+            "there is no recorded traffic to re-enact; name a real session as the scene (options --replay, --scene)",
+        ),
+        (("boxcars", "--root", "none", "--pair", " vp1-VP2 ", "--out", "out"), "--root none: "),
+        (("spee",), "No such command 'spee'. Did you mean 'speed'?"),
     ],
 )
 def test_the_command_line_names_the_option(labelgen, arguments: tuple[str, ...], line: str) -> None:
     done = labelgen(*arguments)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(f"labelgen: error: {line}")
+
+
+@pytest.mark.parametrize("arguments", [(), ("synth",)])
+def test_without_arguments_the_help_is_shown(labelgen, arguments: tuple[str, ...]) -> None:
+    done = labelgen(*arguments)
+    assert done.returncode == 2
+    assert "Usage: labelgen" in done.stdout + done.stderr
+    assert "--install-completion" not in done.stdout + done.stderr
+    assert "error" not in done.stderr
 
 
 def test_an_error_keeps_its_parameters() -> None:

@@ -27,9 +27,9 @@ from detector.evaluation.brnocompspeed import score_recording
 from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskPlacer
-from detector.speed.measurement import MeasurementView
 from detector.speed.meter import SpeedMeter
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from detector.tracking.tracks import Tracks
 from labelgen.atomic_files import make_folder, write_json
 from labelgen.datasets.brnocompspeed import GroundTruth, parse_ground_truth

@@ -1,7 +1,8 @@
-"""Curvature of the road: two measurements that have to agree, since each alone has other causes too.
+"""Curvature of the road, from two measurements that must agree.
 
-Straight paths stay straight in an image, so tracks that are bent there show a bend, or a lens, or a lane change. On a
-bend vehicles also head elsewhere far away than nearby; so they do where a slip road leaves. A bend shows both.
+The first is the curvature of tracks in the image. A bend of the road causes it, but so do lens distortion and changes
+of lane. The second is the change of the vehicles' heading with their distance. A bend causes it, but so does a slip
+road. Only a bend causes both.
 """
 
 from __future__ import annotations

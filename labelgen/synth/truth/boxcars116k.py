@@ -123,8 +123,8 @@ def write_boxcars_tree(
         for number, name in enumerate(names):
             site = _Site(name, number, seed)
             entries[name] = _camera_entry(site.scene.camera)
-            chosen = site.choose(len(range(number, vehicles, len(names))), kinds, used)
-            for sample, crops in site.samples(chosen, len(samples), out / "images"):
+            views_of_vehicles = site.choose(len(range(number, vehicles, len(names))), kinds, used)
+            for sample, crops in site.samples(views_of_vehicles, len(samples), out / "images"):
                 samples.append(sample)
                 atlas.append(crops)
                 advance(1)
@@ -176,14 +176,14 @@ class _Site:
         candidates = [views for trip in self._trips if (views := self._views(trip))]
         self._rng.shuffle(candidates)
         ways = [[c for c in candidates if c[0].trip.lane.heading == heading] for heading in (-1, 1)]
-        chosen: list[list[_View]] = []
-        while len(chosen) < count and any(ways):
-            for way in [way for way in ways if way][: count - len(chosen)]:
+        views_of_vehicles: list[list[_View]] = []
+        while len(views_of_vehicles) < count and any(ways):
+            for way in [way for way in ways if way][: count - len(views_of_vehicles)]:
                 views = min(way, key=lambda v: used[v[0].trip.kind]) if kinds else way[0]
                 way[:] = [other for other in way if other is not views]
                 used[views[0].trip.kind] += 1
-                chosen.append(views)
-        return chosen
+                views_of_vehicles.append(views)
+        return views_of_vehicles
 
     def _views(self, trip: Trip) -> list[_View]:
         """Return up to four times at which the whole vehicle is in the frame and large enough, evenly spread."""
@@ -212,22 +212,22 @@ class _Site:
         return np.concatenate([first, last]).astype(np.int64)
 
     def samples(
-        self, chosen: Sequence[list[_View]], first_id: int, images: Path
+        self, views_of_vehicles: Sequence[list[_View]], first_id: int, images: Path
     ) -> Iterator[tuple[dict[str, Any], list[NDArray[np.uint8]]]]:
-        """Render the chosen vehicles and write their crops; yields each one's entry and its crops as JPEGs.
+        """Render the views_of_vehicles vehicles and write their crops; yields each one's entry and its crops as JPEGs.
 
         Args:
-            chosen: what `choose` returned.
+            views_of_vehicles: what `choose` returned.
             first_id: number of the first vehicle in the tree.
             images: folder of the tree's crops.
         """
-        if not chosen:
+        if not views_of_vehicles:
             return
-        crops_xyxy = np.array([view.crop_xyxy for views in chosen for view in views])
+        crops_xyxy = np.array([view.crop_xyxy for views in views_of_vehicles for view in views])
         background, static_layer = draw_scene(self.scene, self.light, self._scene_rng, crops_xyxy)
         renderer = Renderer(self.scene.camera, background, self.light, seed=self._seed, static_layer=static_layer)
         vehicle_id = first_id
-        for views in chosen:
+        for views in views_of_vehicles:
             instances: list[dict[str, Any]] = []
             crops: list[NDArray[np.uint8]] = []
             for view in views:

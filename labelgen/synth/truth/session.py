@@ -149,10 +149,12 @@ def _check_replay(scene: Path | None, replay: bool) -> None:
     """Raise OutputError when there is no recorded traffic to replay."""
     if replay and scene is None:
         raise OutputError(
-            "there is no recorded traffic to re-enact; name a real session as the scene", parameter="replay"
+            "there is no recorded traffic to re-enact; name a real session as the scene", parameter=("replay", "scene")
         )
     if replay and scene is not None and not is_session(scene):
-        raise OutputError(f"{scene}: it has no recorded traffic (gt_data.pkl) to re-enact", parameter="replay")
+        raise OutputError(
+            f"{scene}: it has no recorded traffic (gt_data.pkl) to re-enact", parameter=("replay", "scene")
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from speed_scenes import CAR, Drive, exact_detections, make_camera, make_view
 
-from detector.speed.measured_vehicle import MeasuredVehicle, median_speed_and_error
-from detector.speed.measurement import MeasurementView
 from detector.speed.meter import MeasureRules, SpeedMeter
+from detector.speed.track_speed import MeasuredVehicle, median_speed_and_error
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.errors import CalibrationError
 from labelgen.geometry import Camera, Pair
 

@@ -111,7 +111,7 @@ def test_dubska_measures_what_moves(scene: Path, tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--variant", "dubska", "--from", "masks:maskrcnn"], "--variant dubska: its vehicles are all that moves"),
-        (["--variant", "sochor", "--from", "masks:background"], "detections must say which blobs are vehicles"),
+        (["--variant", "sochor", "--from", "masks:background"], "detections must say which silhouettes are vehicles"),
     ],
 )
 def test_masks_that_a_system_does_not_take(

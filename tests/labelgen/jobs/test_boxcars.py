@@ -184,7 +184,7 @@ def test_a_finished_data_set_is_not_replaced_unasked(labelgen, tree: Path, tmp_p
     done = labelgen("boxcars", "--root", tree, "--out", tmp_path / "out", "--limit", 3)
     assert done.returncode == 2
     assert "already holds a finished data set; overwrite it or choose another folder" in done.stderr
-    assert "(option --overwrite)" in done.stderr
+    assert "(options --overwrite, --out)" in done.stderr
     assert _hashes(tmp_path / "out") == before
     note = tmp_path / "out" / "notes.txt"
     note.write_text("mine")

@@ -8,8 +8,8 @@ from speed_scenes import Drive, exact_detections, make_camera, make_road, make_v
 
 from detector.speed.detections import inside_larger_box
 from detector.speed.mask_detections import MaskPlacer
-from detector.speed.measurement import MeasurementView
 from detector.speed.variant import Variant
+from detector.speed.view import MeasurementView
 from labelgen.errors import LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask
 from labelgen.masks import InstanceMasks
