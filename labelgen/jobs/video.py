@@ -210,7 +210,8 @@ def _fingerprint(path: Path) -> str:
     """Return the identity of an input: name, size, and the hash of its first and last MiB, as videos are large."""
     if path.is_dir():
         names = [f"{name}:{(path / name).stat().st_size}" for name in ImageFolder(path).file_names]
-        return f"{path.name} {hashlib.sha256(chr(10).join(names).encode()).hexdigest()[:16]}"
+        listed = "\n".join(names).encode("utf-8", "surrogateescape")
+        return f"{path.name} {hashlib.sha256(listed).hexdigest()[:16]}"
     size, end = path.stat().st_size, 1 << 20
     with path.open("rb") as file:
         digest = hashlib.sha256(file.read(end))

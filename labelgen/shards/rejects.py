@@ -33,9 +33,19 @@ class Reject:
     detail: str = ""
 
 
+def writable(text: str) -> str:
+    """Return text that HDF5 and UTF-8 can hold: names of files may have bytes that are no UTF-8, written as escapes."""
+    return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+
+
 def to_json_lines(rejects: Iterable[Reject]) -> bytes:
     """Return rejects as JSON lines, UTF-8."""
-    return b"".join(json.dumps(asdict(reject), ensure_ascii=False).encode() + b"\n" for reject in rejects)
+    return b"".join(_line(reject) for reject in rejects)
+
+
+def _line(reject: Reject) -> bytes:
+    values = {key: writable(value) if isinstance(value, str) else value for key, value in asdict(reject).items()}
+    return json.dumps(values, ensure_ascii=False).encode() + b"\n"
 
 
 def from_json_lines(data: bytes) -> list[Reject]:

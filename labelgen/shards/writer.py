@@ -16,7 +16,7 @@ from labelgen.atomic_files import write_atomic
 from labelgen.choices import Pair
 from labelgen.geometry.camera import Camera
 from labelgen.labels import Labels, Sample
-from labelgen.shards.rejects import Reject, to_json_lines
+from labelgen.shards.rejects import Reject, to_json_lines, writable
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, TEXT, VERSION, content_hash
 from labelgen.version import __version__
 
@@ -62,7 +62,7 @@ class ShardWriter:
             "producer": f"labelgen {__version__}",
             "pair": str(pair),
             "size": f"{size_wh[0]}x{size_wh[1]}",
-            "source": source,
+            "source": writable(source),
             "part": part,
             "settings": json.dumps(dict(settings or {}), sort_keys=True),
         }
@@ -154,11 +154,11 @@ class ShardWriter:
             "samples/vpu": np.array([s.rectification.vpu for s in samples]).reshape(-1, 2),
             "samples/window": np.array([s.window_xyxy for s in samples], dtype=np.float64).reshape(-1, 4),
             "samples/camera": np.array(camera_rows, dtype=np.int32),
-            "samples/source": [sample.source for sample in samples],
+            "samples/source": [writable(sample.source) for sample in samples],
             "samples/frame": np.array([sample.frame for sample in samples], dtype=np.int64),
             "samples/time": np.array([sample.time_s for sample in samples], dtype=np.float64),
             "samples/split": np.array([int(sample.split) for sample in samples], dtype=np.uint8),
-            "cameras/name": [camera.name for camera in cameras],
+            "cameras/name": [writable(camera.name) for camera in cameras],
             "cameras/vp1": np.array([camera.vp1 for camera in cameras]).reshape(-1, 2),
             "cameras/vp2": np.array([camera.vp2 for camera in cameras]).reshape(-1, 2),
             "cameras/pp": np.array([camera.pp for camera in cameras]).reshape(-1, 2),
