@@ -175,7 +175,7 @@ def _numbers(name: str, value: Any, problems: list[str]) -> NDArray[Any]:
     try:
         array = np.asarray(value)
         return array if array.dtype.kind in "biuf" else array.astype(np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         problems.append(f"{name}: expected numbers, got {type(value).__name__}")
         return np.empty(0)
 

@@ -96,8 +96,8 @@ class DetectionFile:
             DataError: no such file, or not of this format.
         """
         try:
-            with path.open(encoding="utf-8-sig") as file:
-                head = _parse(path, 1, file.readline())
+            with path.open("rb") as file:
+                head = _parse(path, 1, file.readline().decode("utf-8-sig"))
         except OSError as err:
             raise DataError(f"detections {path}: {err.strerror or err}") from None
         except UnicodeDecodeError:
@@ -115,7 +115,7 @@ class DetectionFile:
                 raise ValueError(f"fps {fps}")
             rectification = _rectification(head["rectification"], frame_wh)
             mask_extent = None if head.get("outlines") is None else MaskExtent(head["outlines"])
-        except (KeyError, IndexError, TypeError, ValueError, AttributeError, LabelgenError) as err:
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, LabelgenError) as err:
             raise DataError(f"detections {path}: its first line is damaged ({err})") from None
         if rectification is None and not variant.in_frame:
             raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
@@ -142,19 +142,34 @@ class DetectionFile:
             DataError: a line is damaged, or its frame does not follow the one before; names the line.
         """
         last = -1
-        with self.path.open(encoding="utf-8-sig") as file:
-            for number, text in enumerate(file, start=1):
-                if number == 1 or not text.strip():
-                    continue
-                line = _parse(self.path, number, text)
-                detections = self._detections(view, line, number)
-                frame = detections.frame
-                if frame <= last:
-                    raise DataError(
-                        f"detections {self.path}, line {number}: frame {frame} after frame {last}; sort the lines"
-                    )
-                last = frame
-                yield detections
+        for number, text in self._lines():
+            if number == 1 or not text.strip():
+                continue
+            line = _parse(self.path, number, text)
+            detections = self._detections(view, line, number)
+            frame = detections.frame
+            if frame <= last:
+                raise DataError(
+                    f"detections {self.path}, line {number}: frame {frame} after frame {last}; sort the lines"
+                )
+            last = frame
+            yield detections
+
+    def _lines(self) -> Iterator[tuple[int, str]]:
+        """Yield the lines with their numbers from 1.
+
+        Raises:
+            DataError: a line is no UTF-8, or the file cannot be read.
+        """
+        number = 0
+        try:
+            with self.path.open("rb") as file:
+                for number, line in enumerate(file, start=1):
+                    yield number, line.decode("utf-8-sig")
+        except OSError as err:
+            raise DataError(f"detections {self.path}: {err.strerror or err}") from None
+        except UnicodeDecodeError:
+            raise DataError(f"detections {self.path}, line {number}: not UTF-8 text") from None
 
     def _detections(self, view: MeasurementView, line: dict[str, Any], number: int) -> Detections:
         try:
@@ -169,7 +184,7 @@ class DetectionFile:
                 frame, float(time_s), arrays["boxes"], arrays["cc"], arrays["scores"], arrays["classes"],
                 arrays["vertices"],
             )  # fmt: skip
-        except (KeyError, TypeError, ValueError) as err:
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, LabelgenError) as err:
             raise DataError(f"detections {self.path}, line {number}: damaged ({err})") from None
         return detections
 

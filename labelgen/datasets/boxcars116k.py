@@ -236,7 +236,7 @@ def _instance(vehicle: int, number: int, sample: Mapping[str, Any], entry: Any) 
         vertices, offset = _points(entry["3DBB"], (8, 2)), _points(entry["3DBB_offset"], (2,))
     except KeyError as err:
         return _damaged(vehicle, number, f"its entry lacks {err}")
-    except (IndexError, TypeError, ValueError, RecursionError):
+    except (IndexError, TypeError, ValueError, OverflowError, RecursionError):
         return _damaged(vehicle, number, "its entry is not of the expected form")
     name = _text(path)
     if name != path:

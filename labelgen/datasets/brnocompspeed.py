@@ -19,6 +19,8 @@ from labelgen.geometry.homography import Array
 
 __all__ = ["GroundTruth", "parse_ground_truth", "read_ground_truth"]
 
+_MAX_LINES = 1000
+
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
@@ -80,7 +82,7 @@ def parse_ground_truth(data: Any) -> GroundTruth:
         return _parse(data)
     except KeyError as err:
         raise DataError(f"key {err} is missing; is this a BrnoCompSpeed gt_data.pkl?") from None
-    except (AttributeError, IndexError, TypeError, ValueError) as err:
+    except (AttributeError, IndexError, TypeError, ValueError, OverflowError, RecursionError) as err:
         raise DataError(f"not of the BrnoCompSpeed layout ({err})") from None
 
 
@@ -94,6 +96,8 @@ def _parse(data: Any) -> GroundTruth:
         if not len(car["intersections"]):
             raise DataError(f"car {car.get('carId', number)} crosses no measurement line")
     lanes = _lines(data["laneDivLines"], "laneDivLines")
+    if len(lanes) > _MAX_LINES:
+        raise DataError(f"laneDivLines: {len(lanes)} lines are more than any road has")
     in_lane = np.zeros((len(cars), len(lanes) - 1), dtype=np.bool_)
     for row, car in zip(in_lane, cars, strict=True):
         row[[lane for lane in _lane_numbers(car["laneIndex"]) if 0 <= lane < len(row)]] = True

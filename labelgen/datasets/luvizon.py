@@ -142,7 +142,7 @@ def _parse_xml(path: Path) -> ElementTree.Element:
     try:
         checker.Parse(data, True)
         return ElementTree.fromstring(data)
-    except (expat.ExpatError, ElementTree.ParseError, ValueError, LookupError) as err:
+    except (expat.ExpatError, ElementTree.ParseError, ValueError, LookupError, OverflowError) as err:
         raise DataError(f"{path}: not XML ({err})") from None
 
 

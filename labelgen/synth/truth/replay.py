@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.datasets.brnocompspeed import parse_ground_truth
 from labelgen.datasets.safe_pickle import load_pickle
 from labelgen.errors import DataError
 from labelgen.geometry import Camera
@@ -55,11 +56,17 @@ def load_scene(folder: Path, weather: Weather, rng: np.random.Generator) -> tupl
     camera = Camera.load(calibration, image_wh=(background.shape[1], background.shape[0]))
     camera = replace(camera, name=name)
     gt = load_pickle(folder / "gt_data.pkl")
+    if not isinstance(gt, dict):
+        raise DataError(f"{folder / 'gt_data.pkl'}: not a BrnoCompSpeed ground truth; get it from the data set again")
     missing = {"cars", "measurementLines", "laneDivLines", "invalidLanes", "distanceMeasurement"} - set(gt)
     if missing:
         raise DataError(
             f"{folder / 'gt_data.pkl'}: no {', '.join(sorted(missing))} in it; get it from the data set again"
         )
+    try:
+        parse_ground_truth(gt)
+    except DataError as err:
+        raise DataError(f"{folder / 'gt_data.pkl'}: {err}; get it from the data set again") from None
     lane_lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["laneDivLines"])
     lines = tuple(np.asarray(line, dtype=np.float64) for line in gt["measurementLines"])
     light = fit_to_road(make_light(weather, rng), background, mask)

@@ -319,3 +319,14 @@ def test_of_equally_near_tracks_in_two_lanes_the_first_in_the_file_wins(scene: T
         expected = score_car_by_car(scene.cars, data, scene.camera.to_dict()["camera_calibration"])
         assert absolute_errors(scores[-1]) == pytest.approx(expected["errors"])
     assert scores[0].speeds_kmh[0] != scores[1].speeds_kmh[0]
+
+
+@pytest.mark.parametrize("value", [10**400, float("inf"), None, "x", []])
+def test_numbers_of_the_ground_truth_that_are_none_are_one_error(traffic: Traffic, value: object) -> None:
+    for key in ("fps", "cars", "laneDivLines"):
+        with pytest.raises(DataError):
+            parse_ground_truth({**traffic.truth_data(), key: value})
+    data = traffic.truth_data()
+    data["cars"][1]["intersections"][-1]["videoTime"] = value
+    with pytest.raises(DataError):
+        parse_ground_truth(data)

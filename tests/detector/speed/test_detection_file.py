@@ -61,6 +61,8 @@ def test_times_come_from_the_rate_where_lines_have_none(tmp_path: Path) -> None:
         ({"version": 2}, "of version 1"),
         ({"variant": "4d"}, "damaged.*unknown variant"),
         ({"frame_wh": [1]}, "damaged"),
+        ({"fps": 10**400}, "damaged"),
+        ({"frame_wh": [float("inf"), 1]}, "damaged"),
         ({"fps": -3}, "damaged"),
         ({"rectification": None}, "do not go together"),
         ({"rectification": {"pair": "VP2-VP3"}}, "damaged"),
@@ -103,3 +105,20 @@ def test_files_that_are_none(tmp_path: Path, content: bytes | None) -> None:
         path.write_bytes(content)
     with pytest.raises(DataError, match="detections"):
         DetectionFile.open(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (b'{"frame": 9, "boxes": [], "note": "\xff"}', "line 14: not UTF-8 text"),
+        (b'{"frame": 99, "time_s": 1' + b"0" * 400 + b', "boxes": []}', "line 14: damaged"),
+        (b'{"frame": 99, "boxes": [[1, 2, 3, 1' + b"0" * 400 + b"]]}", "line 14: damaged"),
+    ],
+)
+def test_a_late_line_that_is_no_text_or_too_large(tmp_path: Path, line: bytes, message: str) -> None:
+    path = tmp_path / "d.jsonl"
+    write(path, Variant.TRANSFORM3D)
+    path.write_bytes(path.read_bytes() + line + b"\n")
+    file = DetectionFile.open(path)
+    with pytest.raises(DataError, match=message):
+        list(file.frames(file.view(make_view(Variant.TRANSFORM3D).camera)))
