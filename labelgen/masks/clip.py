@@ -18,7 +18,7 @@ class Clip:
     Args:
         path: the video file or the folder.
         frame_wh: size of the frames, px.
-        frame_count: number of frames that the file announces; None where none is announced.
+        frame_count: number of frames that the file states; None where it states none.
         file_names: names of the images of a folder, in order; None for a video.
         every: every so many-th frame is asked for.
     """
@@ -33,4 +33,6 @@ class Clip:
     def of(cls, frames: FrameSource, *, every: int = 1) -> Clip:
         """Describe opened frames, of which every so many-th is asked for."""
         names = tuple(frames.file_names) if isinstance(frames, ImageFolder) else None
-        return cls(frames.path, frames.size_wh, frames.frame_count, names, every)
+        # A number computed from a duration may be too low, and masks beyond it would be lost.
+        count = frames.frame_count if frames.count_is_exact else None
+        return cls(frames.path, frames.size_wh, count, names, every)

@@ -78,6 +78,7 @@ class FrameSource(Protocol):
         path: the video file or the folder; for a stream a relative path made of the last part of its address.
         size_wh: px, of upright frames with square pixels.
         frame_count: number of frames that the file announces, which may be wrong; None where none is announced.
+        count_is_exact: whether the source states that number itself, rather than a duration.
         fps: frames per second, as given, announced or measured; None where nothing says it.
         is_live: whether the frames come once, as a camera sends them. Other sources can be read again.
         untimed: why frames have no times, in words; empty where they have.
@@ -94,6 +95,8 @@ class FrameSource(Protocol):
     def size_wh(self) -> tuple[int, int]: ...
     @property
     def frame_count(self) -> int | None: ...
+    @property
+    def count_is_exact(self) -> bool: ...
     @property
     def fps(self) -> float | None: ...
     @property

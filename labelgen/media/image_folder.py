@@ -40,6 +40,7 @@ class ImageFolder:
     """
 
     is_live = False
+    count_is_exact = True
     failure: Exception | None = None
 
     def __init__(self, path: str | Path, *, fps: float | None = None) -> None:

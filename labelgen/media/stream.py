@@ -68,6 +68,7 @@ class VideoStream:
     """
 
     frame_count: int | None = None
+    count_is_exact = False
     is_live = True
     untimed = ""
 

@@ -62,6 +62,11 @@ class TimedFrames:
         return limit if count is None else min(count, limit)
 
     @property
+    def count_is_exact(self) -> bool:
+        """Whether the source states its number of frames itself."""
+        return self._frames.count_is_exact
+
+    @property
     def untimed(self) -> str:
         """Why frames have no times; empty with a frame rate."""
         return "" if self.fps else self._frames.untimed

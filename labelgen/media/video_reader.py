@@ -84,7 +84,7 @@ class VideoFile:
             first, stamps = self._probe(container, video)
             self._stamps = FileStamps.of(container, video, stamps, fps, first.pts)
             self.fps, self.untimed = self._stamps.fps, self._stamps.untimed
-            self.frame_count, self._count_is_exact = _announced(video, container, self.fps)
+            self.frame_count, self.count_is_exact = _announced(video, container, self.fps)
             self._coded_wh = (int(first.width), int(first.height))
             self._geometry = FrameGeometry.of(self._coded_wh, video.sample_aspect_ratio, display_matrix(first))
             self.size_wh = self._geometry.size_wh
@@ -149,9 +149,9 @@ class VideoFile:
             finally:
                 self.problems = [*clock.problems(), *carry.problems()]
                 # With gaps and jumps in the stamps a number computed from the duration means nothing.
-                known = finished and (self._count_is_exact or not self.problems)
+                known = finished and (self.count_is_exact or not self.problems)
                 announced = self.frame_count if known else None
-                self.problems[:0] = counts.problems(last + 1, announced, self._count_is_exact, self.size_wh)
+                self.problems[:0] = counts.problems(last + 1, announced, self.count_is_exact, self.size_wh)
 
     def _probe(self, container: Any, stream: Any) -> tuple[Any, list[int]]:
         """Return the first frame that can be decoded, and the stamps of the first packets."""

@@ -116,6 +116,7 @@ def test_stamps_come_before_rates(tmp_path: Path, fps: float | None) -> None:
     assert times(source) == pytest.approx(TRUE)
     assert source.fps == pytest.approx(10)
     assert source.frame_count == pytest.approx(COUNT, abs=1)
+    assert not source.count_is_exact
     assert source.problems == []
     word = "the given 25 is not used" if fps == 25 else "its header says 1000 frames per second"
     assert any(word in note for note in source.notes)
