@@ -80,6 +80,9 @@ class DrawnVideo:
     name: str = "drawn"
     size_wh: tuple[int, int] = SIZE
     fps: float | None = FPS
+    count_is_exact: bool = True
+    untimed: str = ""
+    notes: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     failure: Exception | None = None
     is_live: bool = False
