@@ -91,7 +91,7 @@ def test_the_command_writes_calibration_picture_and_report(labelgen, tmp_path):
     done = labelgen("calibrate", video, "--picture", "road.png", "--json", "report.json")
     assert done.returncode == 0, done.stderr
     data = json.loads((tmp_path / "road.calibration.json").read_text())
-    assert set(data) == {"camera_calibration", "cars", "confidence"}
+    assert set(data) == {"camera_calibration", "cars", "confidence", "image_wh"}
     assert {"overall", "vp1", "vp2", "focal", "doubts"} <= set(data["confidence"])
     assert (tmp_path / "road.png").stat().st_size > 10000
     assert json.loads((tmp_path / "report.json").read_text())["focal"] == pytest.approx(620, rel=0.1)
