@@ -75,7 +75,7 @@ def test_merge(labelgen, shards: Path, tmp_path: Path) -> None:
     again = labelgen("merge", shards / "masks", "--out", "both")
     assert again.returncode == 2
     assert "already holds a finished data set; overwrite it" in again.stderr
-    assert "(option --overwrite)" in again.stderr
+    assert "(options --overwrite, --out)" in again.stderr
     assert labelgen("merge", shards / "masks", "--out", "both", "--overwrite").returncode == 0
     assert "one of the folders to merge" in labelgen("merge", "both", "--out", "both").stderr
 
