@@ -36,7 +36,8 @@ def printable(text: str, *, keep: str = "") -> str:
 
 def hide_passwords(text: str) -> str:
     """Return text with the passwords of its URLs replaced, as in rtsp://user:***@camera/1."""
-    return _PASSWORD.sub(r"\1***@", text)
+    # Without a URL the pattern would be tried at each character of a long text.
+    return _PASSWORD.sub(r"\1***@", text) if "://" in text else text
 
 
 def spreadsheet_text(text: str) -> str:

@@ -32,6 +32,7 @@ from detector.speed.view import MeasurementView
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
 from labelgen.json_file import parse_json
+from labelgen.printable import printable
 
 __all__ = ["DetectionFile", "detections_head"]
 
@@ -110,13 +111,15 @@ class DetectionFile:
         try:
             variant = Variant.parse(head["variant"])
             frame_wh = (int(head["frame_wh"][0]), int(head["frame_wh"][1]))
+            if not all(1 <= side <= _MAX_SIDE_PX for side in frame_wh):
+                raise ValueError(f"frame_wh {frame_wh}")
             fps = None if head.get("fps") is None else float(head["fps"])
             if fps is not None and not (math.isfinite(fps) and fps > 0):
                 raise ValueError(f"fps {fps}")
             rectification = _rectification(head["rectification"], frame_wh)
             mask_extent = None if head.get("outlines") is None else MaskExtent(head["outlines"])
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, LabelgenError) as err:
-            raise DataError(f"detections {path}: its first line is damaged ({err})") from None
+            raise DataError(f"detections {path}: its first line is damaged ({_reason(err)})") from None
         if rectification is None and not variant.in_frame:
             raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
         return cls(path, variant, frame_wh, fps, rectification, mask_extent)
@@ -185,11 +188,17 @@ class DetectionFile:
                 arrays["vertices"],
             )  # fmt: skip
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, LabelgenError) as err:
-            raise DataError(f"detections {self.path}, line {number}: damaged ({err})") from None
+            raise DataError(f"detections {self.path}, line {number}: damaged ({_reason(err)})") from None
         return detections
 
 
+_MAX_SIDE_PX, _MAX_REASON = 65_536, 200
 _SHAPES: dict[str, tuple[int, ...]] = {"boxes": (4,), "cc": (), "scores": (), "classes": (), "vertices": (8, 2)}
+
+
+def _reason(err: Exception) -> str:
+    """Return the reason of an error, which may quote what the file holds, in a short line."""
+    return printable(" ".join(str(err)[:_MAX_REASON].split()))
 
 
 def _array(line: dict[str, Any], key: str, count: int) -> Any:

@@ -62,6 +62,7 @@ def test_times_come_from_the_rate_where_lines_have_none(tmp_path: Path) -> None:
         ({"variant": "4d"}, "damaged.*unknown variant"),
         ({"frame_wh": [1]}, "damaged"),
         ({"fps": 10**400}, "damaged"),
+        ({"frame_wh": [1920, 0]}, "damaged"),
         ({"frame_wh": [float("inf"), 1]}, "damaged"),
         ({"fps": -3}, "damaged"),
         ({"rectification": None}, "do not go together"),
