@@ -12,7 +12,8 @@ _HIDDEN_CATEGORIES = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 # Formatting that scripts and emoji need: the zero-width joiner and non-joiner, and the soft hyphen.
 _NEEDED = {"\u200c", "\u200d", "\u00ad"}
 
-_PASSWORD = re.compile(r"([a-z][a-z0-9+.-]*://[^/\s:@]*:)[^/\s]+@", re.IGNORECASE)
+# The word before :// begins where no other one ends: otherwise a long text is searched from each of its characters.
+_PASSWORD = re.compile(r"((?<![a-z0-9+.-])[a-z][a-z0-9+.-]*://[^/\s:@]*:)[^/\s]+@", re.IGNORECASE)
 
 
 def printable(text: str, *, keep: str = "") -> str:
@@ -36,8 +37,7 @@ def printable(text: str, *, keep: str = "") -> str:
 
 def hide_passwords(text: str) -> str:
     """Return text with the passwords of its URLs replaced, as in rtsp://user:***@camera/1."""
-    # Without a URL the pattern would be tried at each character of a long text.
-    return _PASSWORD.sub(r"\1***@", text) if "://" in text else text
+    return _PASSWORD.sub(r"\1***@", text)
 
 
 def spreadsheet_text(text: str) -> str:
