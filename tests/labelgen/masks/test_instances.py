@@ -84,5 +84,5 @@ def test_unknown_source_names_the_known_ones(spec: str) -> None:
 
 
 def test_weights_are_for_maskrcnn_only(tmp_path: Path) -> None:
-    with pytest.raises(LabelgenError, match="only masks maskrcnn takes weights"):
+    with pytest.raises(LabelgenError, match="only the mask source maskrcnn takes weights"):
         create_mask_source("background", weights=tmp_path / "x.pt")
