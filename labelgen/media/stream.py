@@ -20,12 +20,12 @@ import numpy as np
 from av.error import ExitError, FFmpegError
 
 from labelgen.errors import DataError
-from labelgen.media.file_stamps import STAMP_RULES, STAMPLESS_FORMATS
-from labelgen.media.frame_clock import ArrivalClock, FrameClock
-from labelgen.media.frame_geometry import FrameGeometry
+from labelgen.media.container.file_stamps import STAMP_RULES, STAMPLESS_FORMATS
+from labelgen.media.container.frame_clock import ArrivalClock, FrameClock
+from labelgen.media.container.frame_geometry import FrameGeometry
+from labelgen.media.container.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
 from labelgen.media.frames import Frame, always
 from labelgen.media.prefetch import prefetch
-from labelgen.media.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
 from labelgen.problem_counts import count_of
 
 __all__ = ["VideoStream", "is_stream_url"]

@@ -20,14 +20,14 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.media.damaged_file import why_unreadable
-from labelgen.media.file_names import ffmpeg_name
-from labelgen.media.file_stamps import ClockCarry, FileStamps
-from labelgen.media.frame_clock import FrameClock, TimedItem
-from labelgen.media.frame_geometry import FrameGeometry
+from labelgen.media.container.damaged_file import why_unreadable
+from labelgen.media.container.file_names import ffmpeg_name
+from labelgen.media.container.file_stamps import ClockCarry, FileStamps
+from labelgen.media.container.frame_clock import FrameClock, TimedItem
+from labelgen.media.container.frame_geometry import FrameGeometry
+from labelgen.media.container.keyframe_seek import KeyframeSeek
+from labelgen.media.container.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
 from labelgen.media.frames import Frame, LazyFrame, always, downscale
-from labelgen.media.keyframe_seek import KeyframeSeek
-from labelgen.media.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
 from labelgen.problem_counts import count_of
 
 __all__ = ["VideoFile"]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import OutputError
-from labelgen.media.file_names import ffmpeg_name
+from labelgen.media.container.file_names import ffmpeg_name
 
 __all__ = ["VideoWriter"]
 

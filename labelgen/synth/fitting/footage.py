@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError
-from labelgen.media.file_names import ffmpeg_name
+from labelgen.media.container.file_names import ffmpeg_name
 from labelgen.media.frames import FrameSource
 from labelgen.media.open_frames import open_frames
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.media.file_names import ffmpeg_name
+from labelgen.media.container.file_names import ffmpeg_name
 from labelgen.media.video_writer import VideoWriter
 from labelgen.synth.fitting.footage import FOOTAGE, Footage, mean_packet_bytes
 from labelgen.synth.sensor.compression_artifacts import BLOCKY_CODECS

@@ -14,7 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from labelgen.media.counted import Counted
+from labelgen.media.container.counted import Counted
 from labelgen.problem_counts import count_of
 
 __all__ = ["ArrivalClock", "ArrivalClockRules", "FrameClock", "FrameClockRules", "TimedItem"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from labelgen.media.frame_clock import ArrivalClock, FrameClock
+from labelgen.media.container.frame_clock import ArrivalClock, FrameClock
 
 NAN = math.nan
 

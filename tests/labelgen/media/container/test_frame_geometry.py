@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from labelgen.media.frame_geometry import FrameGeometry
+from labelgen.media.container.frame_geometry import FrameGeometry
 
 PICTURE = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
 

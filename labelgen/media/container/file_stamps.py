@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labelgen.media.counted import Counted
+from labelgen.media.container.counted import Counted
 from labelgen.problem_counts import count_of
 
 __all__ = ["STAMPLESS_FORMATS", "STAMP_RULES", "ClockCarry", "FileStamps", "StampRules"]

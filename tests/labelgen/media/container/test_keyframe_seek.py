@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from labelgen.media.container.keyframe_seek import KeyframeSeek
 from labelgen.media.frames import Frame, FrameSource, downscale, to_grey
-from labelgen.media.keyframe_seek import KeyframeSeek
 from labelgen.media.open_frames import open_frames
 from labelgen.media.video_reader import VideoFile
 
