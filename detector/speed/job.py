@@ -78,15 +78,13 @@ class MaskSpeedSettings:
 
     def __post_init__(self) -> None:
         check_masks_file(self.masks)
-        kind, _ = parse_masks(self.masks)
-        background = kind is MaskKind.BACKGROUND
-        if self.variant is Variant.DUBSKA and not background:
+        if self.variant is Variant.DUBSKA and not self.from_background:
             raise LabelgenError(
                 "variant dubska: its vehicles are all that moves, so it takes background masks only; use maskrcnn3d "
                 "for masks of another kind",
                 parameter="variant",
             )
-        if self.variant is Variant.SOCHOR and background:
+        if self.variant is Variant.SOCHOR and self.from_background:
             raise LabelgenError(
                 "variant sochor: detections must say which silhouettes are vehicles; use masks of maskrcnn or "
                 "coco:FILE",
@@ -94,12 +92,17 @@ class MaskSpeedSettings:
             )
 
     @property
+    def from_background(self) -> bool:
+        """Whether the masks are a background model's."""
+        return parse_masks(self.masks)[0] is MaskKind.BACKGROUND
+
+    @property
     def mask_extent(self) -> MaskExtent | None:
         """What the masks cover; None to leave measured points uncorrected."""
         if not self.correct_contact_point:
             return None
         # The masks of `sochor` come from a background model, too.
-        shaded = parse_masks(self.masks)[0] is MaskKind.BACKGROUND or self.variant is Variant.SOCHOR
+        shaded = self.from_background or self.variant is Variant.SOCHOR
         return MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
 
 

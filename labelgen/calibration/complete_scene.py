@@ -48,14 +48,14 @@ def complete_scene(
     """
     if not files.missing:
         return files
-    kept = {"calibration": folder / CALIBRATION_NAME, "road mask": folder / ROAD_MASK_NAME}
-    to_make = {what for what in files.missing if not kept[what].is_file()}
+    made_files = {"calibration": folder / CALIBRATION_NAME, "road mask": folder / ROAD_MASK_NAME}
+    to_make = {what for what in files.missing if not made_files[what].is_file()}
     for what in sorted(files.missing - to_make):
-        _log.info("%s: no %s given; using %s of an earlier run", files.name, what, kept[what])
+        _log.info("%s: no %s given; using %s of an earlier run", files.name, what, made_files[what])
     scene = replace(
         files,
-        calibration_path=kept["calibration"] if "calibration" in files.missing else files.calibration_path,
-        mask_path=kept["road mask"] if "road mask" in files.missing else files.mask_path,
+        calibration_path=made_files["calibration"] if "calibration" in files.missing else files.calibration_path,
+        mask_path=made_files["road mask"] if "road mask" in files.missing else files.mask_path,
         missing=frozenset(),
     )
     if to_make:

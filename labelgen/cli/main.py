@@ -52,16 +52,7 @@ _COMMANDS = {
     "export-model": _Entry("export_model:export_model", "Write a detector as ONNX."),
 }
 # Parameters of the library whose option has another name.
-_OPTION_OF = {
-    "size_wh": "size",
-    "masks": "from_",
-    "score_threshold": "score",
-    "duration_s": "duration",
-    "stall_s": "stall",
-    "sun_deg": "sun",
-    "kinds": "bodies",
-    "road_mask_file": "road_mask",
-}
+_OPTION_OF = {"size_wh": "size", "masks": "from_", "kinds": "bodies", "start_s": "start"}
 # Where a library says that something is there already, another place is the other way out.
 _OTHER_WAY = {"overwrite": "out"}
 # Options whose value is one of several words: blanks around it do no harm.

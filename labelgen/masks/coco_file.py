@@ -138,14 +138,15 @@ class CocoFile:
                 classes.update(CLASS_BY_COCO_ID.items())
             unknown = {name for name in given if whole_number(name) is None}
         if unknown:
-            found = ", ".join(sorted(set(others.values()))[:10]) or "none of another name"
+            other_names = ", ".join(sorted(set(others.values()))[:10]) or "none of another name"
             raise DataError(
-                f"{self.path}: it has no category {', '.join(sorted(unknown))} (found {found})", parameter="classes"
+                f"{self.path}: it has no category {', '.join(sorted(unknown))} (found {other_names})",
+                parameter="classes",
             )
         if self._named and not classes:
-            found = ", ".join(sorted(set(others.values()))[:10]) or "none"
+            other_names = ", ".join(sorted(set(others.values()))[:10]) or "none"
             raise NoVehiclesError(
-                f"{self.path}: none of its categories is a vehicle (found {found}); name them "
+                f"{self.path}: none of its categories is a vehicle (found {other_names}); name them "
                 f"{', '.join(CLASS_BY_NAME)}, or say which are vehicles, as {_example_class(others)}=car",
                 parameter="classes",
             )
@@ -239,10 +240,10 @@ class CocoFile:
         names: Counter[str] = Counter()
         for other, number in others.items():
             names[self._other_names.get(other, f"id {other}")] += number
-        told = [f"{count} {name}" for name, count in names.most_common(_MAX_NAMED_CATEGORIES)]
-        more = [f"{len(names) - len(told)} more"] if len(names) > len(told) else []
+        named = [f"{count} {name}" for name, count in names.most_common(_MAX_NAMED_CATEGORIES)]
+        more = [f"{len(names) - len(named)} more"] if len(names) > len(named) else []
         count = count_of(others.total(), "annotation")
-        self.notes.append(f"{count} of other categories ({', '.join(told + more)}) left out")
+        self.notes.append(f"{count} of other categories ({', '.join(named + more)}) left out")
 
     def _check_counting(self, counts: Counter[_Id]) -> None:
         """Refuse class ids that are not COCO's own; note those that may not be."""

@@ -68,6 +68,14 @@ def test_the_command_line_names_the_option(labelgen, arguments: tuple[str, ...],
     assert done.stderr.splitlines()[-1].startswith(f"labelgen: error: {line}")
 
 
+@pytest.mark.slow
+def test_a_parameter_with_a_unit_has_its_option(labelgen, real_data: Path) -> None:
+    scene = real_data / "brnocompspeed" / "dataset" / "session0_left"
+    done = labelgen("synth", "session", "--out", "out", "--scene", scene, "--replay", "--start", "1e9", "--no-video")
+    assert done.returncode == 2
+    assert "(option --start)" in done.stderr
+
+
 @pytest.mark.parametrize("arguments", [(), ("synth",)])
 def test_without_arguments_the_help_is_shown(labelgen, arguments: tuple[str, ...]) -> None:
     done = labelgen(*arguments)
