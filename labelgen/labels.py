@@ -22,7 +22,7 @@ from labelgen.geometry.homography import Array
 from labelgen.geometry.rectification import Rectification
 from labelgen.media.image_file import decode_image
 
-__all__ = ["Flag", "Labels", "Sample", "Split", "VehicleClass"]
+__all__ = ["Flag", "IgnoreReason", "IgnoredBoxes", "Labels", "Sample", "Split", "VehicleClass"]
 
 
 class VehicleClass(IntEnum):
@@ -61,6 +61,40 @@ class Flag(IntFlag):
     """The mask touches another one: one of the two vehicles is likely to be partly hidden."""
     FLAT = 64
     """The image is not rectified: the label is a 2D box, and c_c is 0 without a meaning."""
+    OCCLUDED = 128
+    """Something hides a part of the vehicle."""
+
+
+class IgnoreReason(IntEnum):
+    """Why a vehicle in the image has no label; values are part of the shard format."""
+
+    OTHER = 0
+    OFF_ROAD = 1
+    TOO_SMALL = 2
+    IMPLAUSIBLE_SIZE = 3
+    NO_3D_BOX = 4
+    CUT = 5
+
+    @property
+    def text(self) -> str:
+        """The reason in words; where a reject has the same reason, in the same ones."""
+        return _REASON_TEXTS[self]
+
+    @classmethod
+    def of_reject(cls, reason: str) -> IgnoreReason:
+        """Return the member for the reason of a reject, `OTHER` where there is none."""
+        return _REASONS.get(reason, cls.OTHER)
+
+
+_REASON_TEXTS = {
+    IgnoreReason.OTHER: "other",
+    IgnoreReason.OFF_ROAD: "off the road",
+    IgnoreReason.TOO_SMALL: "too small",
+    IgnoreReason.IMPLAUSIBLE_SIZE: "implausible size",
+    IgnoreReason.NO_3D_BOX: "no valid 3D box",
+    IgnoreReason.CUT: "cut by the border",
+}
+_REASONS = {text: reason for reason, text in _REASON_TEXTS.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +108,8 @@ class Labels:
         scores: (N,) float32 in [0, 1].
         flags: (N,) uint16, `Flag`.
         candidates: (N, 2) float64, both c_c candidates of a mask label; NaN where the label is not from a mask.
+        sigmas: (N, 5) float32, standard deviations of x0, y0, x1, y1, px, and of c_c; NaN where unknown.
+        hidden: (N,) float32 in [0, 1], the share of the vehicle that something hides; NaN where unknown.
 
     Raises:
         DataError: one message with all wrong fields, the expected value beside the actual one.
@@ -85,6 +121,8 @@ class Labels:
     scores: NDArray[np.float32] = None  # type: ignore[assignment]
     flags: NDArray[np.uint16] = None  # type: ignore[assignment]
     candidates: Array = None  # type: ignore[assignment]
+    sigmas: NDArray[np.float32] = None  # type: ignore[assignment]
+    hidden: NDArray[np.float32] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         problems: list[str] = []
@@ -95,12 +133,14 @@ class Labels:
             "scores": np.ones(n),
             "flags": np.zeros(n),
             "candidates": np.full((n, 2), np.nan),
+            "sigmas": np.full((n, 5), np.nan),
+            "hidden": np.full(n, np.nan),
         }
         arrays = {"boxes_xyxy": boxes, "cc": _numbers("cc", self.cc, problems)}
         for name, default in neutral.items():
             value = getattr(self, name)
             arrays[name] = default if value is None else _numbers(name, value, problems)
-        shapes = {"boxes_xyxy": (n, 4), "candidates": (n, 2)}
+        shapes = {"boxes_xyxy": (n, 4), "candidates": (n, 2), "sigmas": (n, 5)}
         if not problems:
             problems = [
                 f"{name}: expected shape {shapes.get(name, (n,))}, got {array.shape}"
@@ -167,6 +207,8 @@ _DTYPES: dict[str, Any] = {
     "scores": np.float32,
     "flags": np.uint16,
     "candidates": np.float64,
+    "sigmas": np.float32,
+    "hidden": np.float32,
 }
 
 
@@ -182,9 +224,8 @@ def _numbers(name: str, value: Any, problems: list[str]) -> NDArray[Any]:
 
 def _wrong_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
     problems = []
-    boxes = arrays["boxes_xyxy"]
-    if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
-        problems.append("boxes_xyxy: expected finite x0 < x1 and y0 < y1")
+    if not _are_boxes(arrays["boxes_xyxy"]):
+        problems.append(_NO_BOXES)
     for name in ("cc", "scores"):
         if not ((arrays[name] >= 0) & (arrays[name] <= 1)).all():
             problems.append(f"{name}: expected values in [0, 1]")
@@ -193,10 +234,77 @@ def _wrong_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
         wrong = ~((values >= 0) & (values <= top) & (values == np.floor(values)))
         if wrong.any():
             problems.append(f"{name}: expected whole numbers from 0 to {top}, got {values[wrong][0]}")
-    candidates = arrays["candidates"]
-    if ((candidates < 0) | (candidates > 1)).any():
-        problems.append("candidates: expected values in [0, 1] or NaN")
+    for name in ("candidates", "hidden"):
+        if ((arrays[name] < 0) | (arrays[name] > 1)).any():
+            problems.append(f"{name}: expected values in [0, 1] or NaN")
+    if ((arrays["sigmas"] < 0) | np.isinf(arrays["sigmas"])).any():
+        problems.append("sigmas: expected finite numbers from 0, or NaN")
     return problems
+
+
+_NO_BOXES = "boxes_xyxy: expected finite x0 < x1 and y0 < y1"
+
+
+def _are_boxes(boxes: NDArray[Any]) -> bool:
+    return bool(np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all())
+
+
+@dataclass(frozen=True, eq=False)
+class IgnoredBoxes:
+    """Boxes of one image that hold a vehicle without a label, as a structure of arrays of equal length K.
+
+    A detector learns neither from them nor is it judged there: they are neither vehicle nor background.
+
+    Args:
+        boxes_xyxy: (K, 4) float64, rectified px, x0 < x1 and y0 < y1.
+        reasons: (K,) uint8, `IgnoreReason`; OTHER by default.
+
+    Raises:
+        DataError: one message with all wrong fields, the expected value beside the actual one.
+    """
+
+    boxes_xyxy: Array
+    reasons: NDArray[np.uint8] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        problems: list[str] = []
+        boxes = _numbers("boxes_xyxy", self.boxes_xyxy, problems)
+        k = len(boxes) if boxes.ndim else 1
+        reasons = np.zeros(k) if self.reasons is None else _numbers("reasons", self.reasons, problems)
+        if not problems:
+            shaped = {"boxes_xyxy": (boxes, (k, 4)), "reasons": (reasons, (k,))}
+            problems = [f"{n}: expected shape {s}, got {a.shape}" for n, (a, s) in shaped.items() if a.shape != s]
+        if not problems:
+            problems = [] if _are_boxes(boxes) else [_NO_BOXES]
+            unknown = ~np.isin(reasons, [int(reason) for reason in IgnoreReason])
+            if unknown.any():
+                problems.append(f"reasons: expected values of IgnoreReason, got {reasons[unknown][0]}")
+        if problems:
+            raise DataError("ignored boxes: " + "; ".join(problems))
+        object.__setattr__(self, "boxes_xyxy", boxes.astype(np.float64, copy=False))
+        object.__setattr__(self, "reasons", reasons.astype(np.uint8, copy=False))
+
+    def __len__(self) -> int:
+        return len(self.reasons)
+
+    def __getitem__(self, index: Any) -> IgnoredBoxes:
+        """Return the boxes at a slice, a bool mask (K,) or an index array."""
+        some = object.__new__(IgnoredBoxes)  # validated before
+        object.__setattr__(some, "boxes_xyxy", self.boxes_xyxy[index])
+        object.__setattr__(some, "reasons", self.reasons[index])
+        return some
+
+    @classmethod
+    def empty(cls) -> IgnoredBoxes:
+        """Return boxes of length 0."""
+        return cls(np.empty((0, 4)))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[IgnoredBoxes]) -> IgnoredBoxes:
+        """Return all ignored boxes of several images, in order."""
+        if not parts:
+            return cls.empty()
+        return cls(np.concatenate([p.boxes_xyxy for p in parts]), np.concatenate([p.reasons for p in parts]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +321,7 @@ class Sample:
         time_s: time of the frame in its video, seconds; NaN where there is none.
         split: part of the data set.
         window_xyxy: (4,) frame px, the part of the frame that the source shows; NaN where unknown.
+        ignored: boxes of vehicles that have no label.
     """
 
     encoded: bytes
@@ -224,6 +333,7 @@ class Sample:
     time_s: float = float("nan")
     split: Split = Split.NONE
     window_xyxy: Array = field(default_factory=lambda: np.full(4, np.nan))
+    ignored: IgnoredBoxes = field(default_factory=IgnoredBoxes.empty)
 
     @property
     def image(self) -> NDArray[np.uint8]:

@@ -108,7 +108,7 @@ def merge(
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Put shards of several data sets into one folder with a common index. Their content stays as it is."""
+    """Put shards of several data sets into one folder with a common index. Their samples stay as they are."""
     from labelgen.errors import OutputError
     from labelgen.jobs.staging import Staging
     from labelgen.shards import ShardReader, find_shards, merge_shards, summarise

@@ -25,6 +25,7 @@ from labelgen.errors import DataError, LabelgenError, NoVehiclesError
 from labelgen.jobs.staging import Staging
 from labelgen.progress import progress_bar
 from labelgen.shards import DatasetSummary, ShardReader, find_shards, summarise, write_index
+from labelgen.shards.schema import VERSION
 
 __all__ = ["Job", "Progress", "Unit", "finished_part", "run_job"]
 
@@ -180,7 +181,7 @@ def _run_unit(unit: Unit, folder: Path) -> None:
 
 
 def finished_part(path: Path, **expected: Any) -> ShardReader | None:
-    """Return the reader of a shard on disk that has the expected attributes, else None.
+    """Return the reader of a shard on disk that has the expected attributes and the newest format, else None.
 
     Args:
         path: the shard.
@@ -190,7 +191,8 @@ def finished_part(path: Path, **expected: Any) -> ShardReader | None:
         return None
     with ShardReader(path) as reader:
         try:
-            same = all(reader.attributes[key] == value for key, value in expected.items())
+            wanted = {"version": VERSION, **expected}
+            same = all(reader.attributes[key] == value for key, value in wanted.items())
         except DataError:
             return None
         return reader if same else None

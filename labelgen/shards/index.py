@@ -121,10 +121,11 @@ def build_index(shards: Sequence[Path]) -> tuple[dict[str, Any], bytes]:
     entries: list[dict[str, Any]] = []
     rejects: list[bytes] = []
     reasons: Counter[str] = Counter()
-    pair, size = "", ""
+    pair, size, version = "", "", 1
     for path in shards:
         with ShardReader(path) as reader:
             pair, size = reader.attributes["pair"], reader.attributes["size"]
+            version = max(version, reader.attributes["version"])
             reasons.update(reject.reason for reject in reader.rejects)
             rejects.append(to_json_lines(reader.rejects))
             entries.append(
@@ -141,7 +142,7 @@ def build_index(shards: Sequence[Path]) -> tuple[dict[str, Any], bytes]:
     whole = hashlib.sha256("\n".join(str(entry[HASH_ATTRIBUTE]) for entry in entries).encode()).hexdigest()
     index = {
         "format": _INDEX_FORMAT,
-        "version": VERSION,
+        "version": version if shards else VERSION,
         "pair": pair,
         "size": size,
         **{key: sum(entry[key] for entry in entries) for key in ("images", "labels", "rejects")},

@@ -22,9 +22,19 @@ from numpy.typing import NDArray
 from labelgen.choices import Pair, parse_size
 from labelgen.errors import DataError, LabelgenError
 from labelgen.json_file import parse_json
-from labelgen.labels import Split, VehicleClass
+from labelgen.labels import IgnoreReason, Split, VehicleClass
 from labelgen.printable import printable
-from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, REQUIRED_ATTRIBUTES, TEXT, VERSION, FieldSpec
+from labelgen.shards.schema import (
+    FIELDS,
+    FORMAT,
+    HASH_ATTRIBUTE,
+    READABLE_VERSIONS,
+    REQUIRED_ATTRIBUTES,
+    TEXT,
+    FieldSpec,
+    complete_fields,
+    fields_of,
+)
 
 __all__ = [
     "DAMAGE",
@@ -121,8 +131,9 @@ def check_attributes(values: Mapping[str, Any]) -> list[str]:
     """
     if values.get("format") != FORMAT:
         return ["not a labelgen shard"]
-    if values.get("version") != VERSION:
-        return [f"shard format {values.get('version')}, this labelgen reads {VERSION}; use the other one"]
+    if values.get("version") not in READABLE_VERSIONS:
+        readable = " and ".join(map(str, READABLE_VERSIONS))
+        return [f"shard format {values.get('version')}, this labelgen reads {readable}; use the other one"]
     required = (*REQUIRED_ATTRIBUTES, HASH_ATTRIBUTE)
     missing = [key for key in required if key not in values]
     if missing:
@@ -171,17 +182,18 @@ def _is_number(value: Any) -> bool:
 # -- fields -------------------------------------------------------------------------------------------------
 
 
-def check_fields(file: h5py.File, file_bytes: int) -> list[str]:
+def check_fields(file: h5py.File, version: int, file_bytes: int) -> list[str]:
     """Return what is wrong with the types, shapes and storage of a shard's fields, before anything of them is read.
 
     Args:
         file: the shard.
+        version: of its format.
         file_bytes: its size.
     """
     problems: list[str] = []
     rows: dict[str, int] = {}
     total = 0
-    for name, spec in FIELDS.items():
+    for name, spec in fields_of(version).items():
         try:
             field_rows, size = _check_field(file, name, spec, file_bytes)
         except _FieldError as err:
@@ -251,20 +263,27 @@ def _check_link(parent: h5py.Group, key: str, kind: int, label: str) -> None:
         raise _FieldError("another kind of HDF5 object")
 
 
-def read_fields(file: h5py.File, names: Iterable[str], file_bytes: int) -> dict[str, NDArray[Any]]:
-    """Read fields whose layout is checked.
+def read_fields(
+    file: h5py.File, version: int, file_bytes: int, *, without: Iterable[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """Read the fields of a shard whose layout is checked; those that its version lacks get their neutral values.
 
     Args:
         file: the shard.
-        names: of the fields.
+        version: of its format.
         file_bytes: size of the file.
+        without: names of fields that are not read.
 
     Raises:
         OSError, RuntimeError, LookupError, TypeError, ValueError: the file is damaged.
     """
-    return {
-        name: _read_text(file[name], file_bytes) if FIELDS[name].dtype == TEXT else file[name][()] for name in names
-    }
+    return complete_fields(
+        {
+            name: _read_text(file[name], file_bytes) if FIELDS[name].dtype == TEXT else file[name][()]
+            for name in fields_of(version)
+            if name not in without
+        }
+    )
 
 
 def _read_text(dataset: h5py.Dataset, file_bytes: int) -> NDArray[Any]:
@@ -297,7 +316,12 @@ def check_values(arrays: Mapping[str, NDArray[Any]], image_bytes: int, settings:
         settings: of the shard; jobs of some kinds always state windows.
     """
     problems = []
-    for name, total in (("images/offset", image_bytes), ("labels/offset", len(arrays["labels/cc"]))):
+    totals = {
+        "images/offset": image_bytes,
+        "labels/offset": len(arrays["labels/cc"]),
+        "ignored/offset": len(arrays["ignored/reason"]),
+    }
+    for name, total in totals.items():
         offsets = arrays[name]
         if offsets[0] != 0 or offsets[-1] != total or (offsets[1:] < offsets[:-1]).any():
             problems.append(f"{name}: expected to rise from 0 to {total}")
@@ -318,6 +342,7 @@ def _row_checks(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.bool
     box, cc, camera, score = (arrays[f"{k}"] for k in ("labels/box", "labels/cc", "samples/camera", "labels/score"))
     candidates, window, matrix = arrays["labels/candidates"], arrays["samples/window"], arrays["samples/matrix"]
     time, scale, size = arrays["samples/time"], arrays["cameras/scale"], arrays["cameras/size"]
+    sigma, hidden = arrays["labels/sigma"], arrays["labels/hidden"]
     return {
         "labels/box: expected finite x0 < x1, y0 < y1": _is_box(box),
         "labels/cc: expected values in [0, 1]": (cc >= 0) & (cc <= 1),
@@ -325,6 +350,12 @@ def _row_checks(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.bool
         "labels/candidates: expected values in [0, 1] or NaN": (
             np.isnan(candidates) | ((candidates >= 0) & (candidates <= 1))
         ).all(1),
+        "labels/sigma: expected finite numbers from 0, or NaN": (
+            np.isnan(sigma) | ((sigma >= 0) & (sigma < np.inf))
+        ).all(1),
+        "labels/hidden: expected values in [0, 1] or NaN": np.isnan(hidden) | ((hidden >= 0) & (hidden <= 1)),
+        "ignored/box: expected finite x0 < x1, y0 < y1": _is_box(arrays["ignored/box"]),
+        "ignored/reason: unknown reason": np.isin(arrays["ignored/reason"], [int(r) for r in IgnoreReason]),
         "labels/class: unknown class": np.isin(arrays["labels/class"], [int(c) for c in VehicleClass]),
         "samples/split: unknown split": np.isin(arrays["samples/split"], [int(s) for s in Split]),
         "samples/matrix: expected finite, invertible matrices": _is_homography(matrix),

@@ -1,4 +1,4 @@
-"""Merging finished data sets into one, without a change to their content."""
+"""Merging finished data sets into one; samples, labels and rejects stay as they are."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from labelgen.errors import DataError
 from labelgen.shards.dataset import find_shards
 from labelgen.shards.index import INDEX_NAME, DatasetSummary, read_index, summarise, write_index
 from labelgen.shards.reader import ShardReader
-from labelgen.shards.schema import HASH_ATTRIBUTE
+from labelgen.shards.schema import HASH_ATTRIBUTE, VERSION
 from labelgen.shards.validate import validate_shards
+from labelgen.shards.writer import shard_bytes
 
 __all__ = ["merge_job", "merge_shards"]
 
@@ -25,7 +26,8 @@ def merge_job(shards: Sequence[Path]) -> dict[str, Any]:
 def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     """Copy shards of several data sets into one folder, renumbered, with a common index.
 
-    Of shards with the same content the first is copied.
+    Of shards with the same content the first is copied. Shards of older versions of the format become such of the
+    newest one.
 
     Args:
         paths: shards or folders of shards, all of one pair and size.
@@ -55,7 +57,7 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     written = []
     for number, path in enumerate(by_hash.values()):
         target = out / f"shard-{number:05d}.h5"
-        write_atomic(target, path.read_bytes())
+        write_atomic(target, _newest_version(path))
         originals[target.name] = by_folder[path.parent].get(path.name, {})
         written.append(target)
     write_index(out, written, merge_job(shards), originals)
@@ -74,6 +76,15 @@ def _refuse_invalid(paths: Sequence[str | Path], shards: Sequence[Path]) -> None
         first, others = found[0].removeprefix(f"{where}: "), sum(map(len, problems.values())) - 1
         more = f", and {others} more problems" if others else ""
         raise DataError(f"{where}: {first}{more}; nothing was merged, labelgen validate lists all problems")
+
+
+def _newest_version(path: Path) -> bytes:
+    """Return the bytes of a valid shard, or of the same content in the newest version of the format."""
+    with ShardReader(path) as reader:
+        if reader.attributes["version"] == VERSION:
+            return path.read_bytes()
+        attributes = {key: value for key, value in reader.attributes.items() if key != HASH_ATTRIBUTE}
+        return shard_bytes(attributes, reader.read_all())[0]
 
 
 def _originals(folder: Path) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from labelgen.errors import DataError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Rectification
 from labelgen.json_file import parse_json
-from labelgen.labels import Labels, Sample, Split
+from labelgen.labels import IgnoredBoxes, Labels, Sample, Split
 from labelgen.shards.layout import (
     DAMAGE,
     check_attributes,
@@ -30,11 +30,11 @@ from labelgen.shards.layout import (
     read_fields,
 )
 from labelgen.shards.rejects import Reject, from_json_lines
-from labelgen.shards.schema import FIELDS, IMAGES
+from labelgen.shards.schema import IMAGES
 
 __all__ = ["ByteStrip", "ShardReader"]
 
-_STALE_AFTER_UNPICKLING = ("_tables", "_labels", "attributes")
+_STALE_AFTER_UNPICKLING = ("_tables", "_labels", "_ignored", "attributes")
 
 
 class ShardReader:
@@ -96,7 +96,7 @@ class ShardReader:
         problems = check_attributes(values)
         if problems:
             raise DataError(f"{self.path}: {problems[0]}")
-        problems = check_fields(file, self._file_bytes())
+        problems = check_fields(file, values["version"], self._file_bytes())
         if problems:
             raise DataError(f"{self.path}: damaged, {problems[0]}; make it again")
         return values
@@ -135,14 +135,20 @@ class ShardReader:
 
     @cached_property
     def _tables(self) -> dict[str, NDArray[Any]]:
-        assert self.attributes is not None  # checks the format before anything is read
+        version = self.attributes["version"]  # checks the format before anything is read
         file = self._open()
         with self._damage():
-            tables = read_fields(file, [name for name in FIELDS if name != IMAGES], self._file_bytes())
+            tables = read_fields(file, version, self._file_bytes(), without=(IMAGES,))
             problems = check_values(tables, len(file[IMAGES]), self.settings)
         if problems:
             raise DataError(f"{self.path}: damaged, {problems[0]}; make it again")
         return tables
+
+    def read_all(self) -> dict[str, NDArray[Any]]:
+        """Return all fields by their names, "images/bytes" included; those that an older version lacks are neutral."""
+        version, file = self.attributes["version"], self._open()
+        with self._damage():
+            return read_fields(file, version, self._file_bytes())
 
     def table(self, name: str) -> NDArray[Any]:
         """Return a whole field by its name in the format, for instance "labels/cc"."""
@@ -188,11 +194,21 @@ class ShardReader:
     @cached_property
     def _labels(self) -> Labels:
         """The labels of all samples, validated once for the whole shard."""
-        names = ("box", "cc", "class", "score", "flags", "candidates")
+        names = ("box", "cc", "class", "score", "flags", "candidates", "sigma", "hidden")
         try:
             return Labels(*(self.table(f"labels/{name}") for name in names))
         except DataError as err:
             raise DataError(f"{self.path}: damaged ({err}); make it again") from None
+
+    def ignored(self, index: int) -> IgnoredBoxes:
+        """Return the boxes of one sample that hold a vehicle without a label."""
+        start, stop = self.table("ignored/offset")[index : index + 2].tolist()
+        return self._ignored[start:stop]
+
+    @cached_property
+    def _ignored(self) -> IgnoredBoxes:
+        """The ignored boxes of all samples, validated once for the whole shard."""
+        return IgnoredBoxes(self.table("ignored/box"), self.table("ignored/reason"))
 
     def encoded(self, index: int) -> bytes:
         """Return the JPEG or PNG bytes of one sample's image."""
@@ -225,6 +241,7 @@ class ShardReader:
             float(self.table("samples/time")[index]),
             Split(int(self.table("samples/split")[index])),
             self.table("samples/window")[index],
+            self.ignored(index),
         )
 
     def __iter__(self) -> Iterator[Sample]:

@@ -27,7 +27,7 @@ from labelgen.shards.layout import (
     read_fields,
 )
 from labelgen.shards.reader import ShardReader
-from labelgen.shards.schema import FIELDS, HASH_ATTRIBUTE, IMAGES, content_hash
+from labelgen.shards.schema import HASH_ATTRIBUTE, IMAGES, content_hash
 
 __all__ = ["content_is_intact", "validate_folder", "validate_shard", "validate_shards"]
 
@@ -108,7 +108,7 @@ def content_is_intact(path: Path) -> bool:
     try:
         with ShardReader(path) as reader:
             attributes = reader.attributes
-            arrays = _read_all(reader)
+            arrays = reader.read_all()
         return bool(content_hash(attributes, arrays) == attributes[HASH_ATTRIBUTE])
     except DAMAGE:
         return False
@@ -121,10 +121,10 @@ def validate_shard(path: str | Path) -> list[str]:
         file_bytes = path.stat().st_size if path.exists() else 0
         with open_shard_file(path) as file:
             attributes = read_attributes(file)
-            problems = check_attributes(attributes) or check_fields(file, file_bytes)
+            problems = check_attributes(attributes) or check_fields(file, attributes["version"], file_bytes)
             if problems:
                 return problems
-            arrays = read_fields(file, FIELDS, file_bytes)
+            arrays = read_fields(file, attributes["version"], file_bytes)
     except DataError as err:
         return [str(err)]
     except DAMAGE as err:
@@ -143,11 +143,6 @@ def validate_shard(path: str | Path) -> list[str]:
                 except DataError as err:
                     problems.append(str(err))
     return problems
-
-
-def _read_all(reader: ShardReader) -> dict[str, NDArray[Any]]:
-    with open_shard_file(reader.path) as file:
-        return read_fields(file, FIELDS, reader.path.stat().st_size)
 
 
 def _check_boxes(arrays: dict[str, NDArray[Any]]) -> list[str]:

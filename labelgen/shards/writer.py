@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from labelgen.atomic_files import write_atomic
 from labelgen.choices import Pair
 from labelgen.geometry.camera import Camera
-from labelgen.labels import Labels, Sample
+from labelgen.labels import IgnoredBoxes, Labels, Sample
 from labelgen.shards.rejects import Reject, to_json_lines, writable
 from labelgen.shards.schema import FIELDS, FORMAT, HASH_ATTRIBUTE, TEXT, VERSION, content_hash
 from labelgen.version import __version__
 
-__all__ = ["ShardWriter"]
+__all__ = ["ShardWriter", "shard_bytes"]
 
 
 class ShardWriter:
@@ -116,26 +116,13 @@ class ShardWriter:
         self._rejects.append(reject)
 
     def _finish(self) -> None:
-        arrays = self._arrays()
-        attributes = {**self._attributes, "last": int(self.last)}
-        self.content_sha256 = content_hash(attributes, arrays)
-        attributes[HASH_ATTRIBUTE] = self.content_sha256
-        # In memory first, so that a full disk gives a write error and no damaged HDF5 file.
-        with h5py.File("shard", "w", driver="core", backing_store=False, libver=("earliest", "v110")) as file:
-            for key, value in attributes.items():
-                file.attrs[key] = value
-            for name, spec in FIELDS.items():
-                if spec.dtype == TEXT:
-                    file.create_dataset(name, data=arrays[name], dtype=h5py.string_dtype())
-                else:
-                    file.create_dataset(name, data=arrays[name], dtype=spec.dtype)
-            file.flush()
-            image = file.id.get_file_image()
-        write_atomic(self.path, image)
+        content, self.content_sha256 = shard_bytes({**self._attributes, "last": int(self.last)}, self._arrays())
+        write_atomic(self.path, content)
 
     def _arrays(self) -> dict[str, NDArray[Any] | list[str]]:
         samples = self._samples
         labels = Labels.concatenate([sample.labels for sample in samples])
+        ignored = IgnoredBoxes.concatenate([sample.ignored for sample in samples])
         cameras: dict[Camera, int] = {}
         camera_rows = [cameras.setdefault(sample.camera, len(cameras)) for sample in samples]
         sizes = [camera.image_wh or (0, 0) for camera in cameras]
@@ -149,7 +136,12 @@ class ShardWriter:
             "labels/class": labels.class_ids,
             "labels/score": labels.scores,
             "labels/flags": labels.flags,
+            "labels/sigma": labels.sigmas,
+            "labels/hidden": labels.hidden,
             "labels/offset": _offsets([len(sample.labels) for sample in samples]),
+            "ignored/box": ignored.boxes_xyxy,
+            "ignored/reason": ignored.reasons,
+            "ignored/offset": _offsets([len(sample.ignored) for sample in samples]),
             "samples/matrix": np.array([s.rectification.matrix for s in samples]).reshape(-1, 3, 3),
             "samples/vpu": np.array([s.rectification.vpu for s in samples]).reshape(-1, 2),
             "samples/window": np.array([s.window_xyxy for s in samples], dtype=np.float64).reshape(-1, 4),
@@ -166,6 +158,28 @@ class ShardWriter:
             "cameras/size": np.array(sizes, dtype=np.int32).reshape(-1, 2),
             "rejects": np.frombuffer(to_json_lines(self._rejects), dtype=np.uint8),
         }
+
+
+def shard_bytes(attributes: Mapping[str, Any], arrays: Mapping[str, NDArray[Any] | list[str]]) -> tuple[bytes, str]:
+    """Return the bytes of a shard of the newest version, and the hash of its content.
+
+    Args:
+        attributes: values of `REQUIRED_ATTRIBUTES`; the version is set here.
+        arrays: values of all fields.
+    """
+    attributes = {**attributes, "version": VERSION}
+    attributes[HASH_ATTRIBUTE] = content_hash(attributes, arrays)
+    # In memory first, so that a full disk gives a write error and no damaged HDF5 file.
+    with h5py.File("shard", "w", driver="core", backing_store=False, libver=("earliest", "v110")) as file:
+        for key, value in attributes.items():
+            file.attrs[key] = value
+        for name, spec in FIELDS.items():
+            if spec.dtype == TEXT:
+                file.create_dataset(name, data=arrays[name], dtype=h5py.string_dtype())
+            else:
+                file.create_dataset(name, data=arrays[name], dtype=spec.dtype)
+        file.flush()
+        return bytes(file.id.get_file_image()), str(attributes[HASH_ATTRIBUTE])
 
 
 def _offsets(lengths: list[int]) -> NDArray[np.int64]:

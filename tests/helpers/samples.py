@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from labelgen.geometry import Camera, Pair, Rectification
-from labelgen.labels import Labels, Sample, Split
+from labelgen.labels import IgnoredBoxes, Labels, Sample, Split
 from labelgen.shards import Reject, ShardWriter
 
 SIZE = (64, 36)
@@ -34,6 +34,7 @@ def make_sample(seed: int, labels: int = 2, *, camera: Camera = CAMERA, source: 
         seed / 25,
         Split.TRAIN,
         np.array([0.0, 0.0, 640.0, 360.0]),
+        IgnoredBoxes(boxes[:1] + 1, [seed % 6]) if seed % 2 == 0 else IgnoredBoxes.empty(),
     )
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from labelgen.errors import DataError
 from labelgen.geometry import Camera, Pair, Rectification, decode_boxes, encode_boxes
-from labelgen.labels import Flag, Labels, Sample, Split, VehicleClass
+from labelgen.labels import Flag, IgnoredBoxes, IgnoreReason, Labels, Sample, Split, VehicleClass
 
 BOX = [[10.0, 20.0, 50.0, 60.0]]
 
 
 @pytest.mark.parametrize(
-    ("fields", "match"),
+    ("wrong", "match"),
     [
         ({"boxes_xyxy": [[10, 20, 50]]}, r"boxes_xyxy: expected shape \(1, 4\), got \(1, 3\)"),
         ({"boxes_xyxy": [10, 20, 50, 60]}, r"boxes_xyxy: expected shape"),
@@ -42,11 +44,16 @@ BOX = [[10.0, 20.0, 50.0, 60.0]]
         ({"candidates": [[0.1, 0.2, 0.3]]}, r"candidates: expected shape \(1, 2\), got \(1, 3\)"),
         ({"candidates": [[0.1, 7.0]]}, r"candidates: expected values in \[0, 1\] or NaN"),
         ({"candidates": [[0.1, np.inf]]}, r"candidates: expected values in \[0, 1\] or NaN"),
+        ({"sigmas": [[1, 1, 1, 0.1]]}, r"sigmas: expected shape \(1, 5\), got \(1, 4\)"),
+        ({"sigmas": [[1, 1, 1, 1, -0.1]]}, "sigmas: expected finite numbers from 0, or NaN"),
+        ({"sigmas": [[1, 1, np.inf, 1, 0.1]]}, "sigmas: expected finite numbers from 0, or NaN"),
+        ({"hidden": [1.2]}, r"hidden: expected values in \[0, 1\] or NaN"),
+        ({"hidden": [[0.2]]}, r"hidden: expected shape \(1,\), got \(1, 1\)"),
     ],
 )
-def test_impossible_labels_are_refused(fields, match):
+def test_impossible_labels_are_refused(wrong, match):
     with pytest.raises(DataError, match=match):
-        Labels(**{"boxes_xyxy": BOX, "cc": [0.5], **fields})
+        Labels(**{"boxes_xyxy": BOX, "cc": [0.5], **wrong})
 
 
 def test_all_wrong_fields_are_named_at_once():
@@ -62,14 +69,19 @@ def test_fields_left_out_get_their_neutral_values():
     assert labels.scores.tolist() == [1.0]
     assert labels.flags.tolist() == [0]
     assert np.isnan(labels.candidates).all()
-    assert [getattr(labels, n).dtype for n in ("boxes_xyxy", "cc", "class_ids", "scores", "flags", "candidates")] == [
-        np.float64,
-        np.float64,
-        np.uint8,
-        np.float32,
-        np.uint16,
-        np.float64,
-    ]
+    assert labels.sigmas.shape == (1, 5)
+    assert np.isnan(labels.sigmas).all()
+    assert np.isnan(labels.hidden).all()
+    assert {f.name: getattr(labels, f.name).dtype for f in fields(Labels)} == {
+        "boxes_xyxy": np.float64,
+        "cc": np.float64,
+        "class_ids": np.uint8,
+        "scores": np.float32,
+        "flags": np.uint16,
+        "candidates": np.float64,
+        "sigmas": np.float32,
+        "hidden": np.float32,
+    }
 
 
 def _three() -> Labels:
@@ -80,6 +92,8 @@ def _three() -> Labels:
         np.array([0.5, 0.75, 1.0]),
         np.array([Flag.TRUNCATED, Flag.MIRRORED | Flag.TOUCHING, 0]),
         np.array([[0.1, 0.2], [np.nan, np.nan], [1.0, 0.0]]),
+        np.array([[1, 2, 3, 4, 0.5], [np.nan] * 5, [0, 0, 0, np.nan, 0]]),
+        np.array([0.5, np.nan, 1.0]),
     )
 
 
@@ -98,7 +112,7 @@ def test_selecting_keeps_rows_together(index, expected):
     assert len(some) == len(expected)
     for row, cc in enumerate(some.cc):
         source = _three().cc.tolist().index(cc)
-        for name in ("boxes_xyxy", "class_ids", "scores", "flags", "candidates"):
+        for name in (f.name for f in fields(Labels)):
             np.testing.assert_array_equal(getattr(some, name)[row], getattr(_three(), name)[source])
 
 
@@ -106,7 +120,7 @@ def test_concatenating_the_parts_gives_the_whole():
     whole = _three()
     for parts in ([whole[:1], whole[1:]], [whole, Labels.empty()], [Labels.empty(), whole]):
         joined = Labels.concatenate(parts)
-        for name in ("boxes_xyxy", "cc", "class_ids", "scores", "flags", "candidates"):
+        for name in (f.name for f in fields(Labels)):
             np.testing.assert_array_equal(getattr(joined, name), getattr(whole, name))
     assert len(Labels.concatenate([])) == len(Labels.empty()) == 0
 
@@ -130,7 +144,55 @@ def test_values_stored_in_shards_do_not_change():
         "CANDIDATES_DISAGREE": 16,
         "TOUCHING": 32,
         "FLAT": 64,
+        "OCCLUDED": 128,
     }
+    assert {r.name: r.value for r in IgnoreReason} == {
+        "OTHER": 0,
+        "OFF_ROAD": 1,
+        "TOO_SMALL": 2,
+        "IMPLAUSIBLE_SIZE": 3,
+        "NO_3D_BOX": 4,
+        "CUT": 5,
+    }
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"boxes_xyxy": [[10, 20, 50]]}, r"boxes_xyxy: expected shape \(1, 4\), got \(1, 3\)"),
+        ({"boxes_xyxy": "box"}, "boxes_xyxy: expected numbers"),
+        ({"boxes_xyxy": 7}, "boxes_xyxy: expected shape"),
+        ({"boxes_xyxy": [[50, 20, 50, 60]]}, "x0 < x1"),
+        ({"boxes_xyxy": [[10, 20, np.inf, 60]]}, "finite"),
+        ({"reasons": [0, 0]}, r"reasons: expected shape \(1,\), got \(2,\)"),
+        ({"reasons": [6]}, "reasons: expected values of IgnoreReason, got 6"),
+        ({"reasons": [-1]}, "reasons: expected values of IgnoreReason, got -1"),
+        ({"reasons": [0.5]}, "reasons: expected values of IgnoreReason, got 0.5"),
+        ({"reasons": [np.nan]}, "reasons: expected values of IgnoreReason"),
+    ],
+)
+def test_impossible_ignored_boxes_are_refused(wrong, match):
+    with pytest.raises(DataError, match=f"ignored boxes: .*{match}"):
+        IgnoredBoxes(**{"boxes_xyxy": BOX, **wrong})
+
+
+def test_ignored_boxes_are_selected_and_joined_row_by_row():
+    boxes = np.array([[0, 0, 10, 10], [5, 5, 20, 30], [-4, 2, 3, 9]])
+    whole = IgnoredBoxes(boxes, [IgnoreReason.CUT, IgnoreReason.OTHER, IgnoreReason.TOO_SMALL])
+    assert IgnoredBoxes(boxes).reasons.tolist() == [0, 0, 0]
+    some = whole[np.array([2, 0])]
+    assert some.boxes_xyxy.tolist() == boxes[[2, 0]].tolist()
+    assert some.reasons.tolist() == [IgnoreReason.TOO_SMALL, IgnoreReason.CUT]
+    joined = IgnoredBoxes.concatenate([whole[:1], IgnoredBoxes.empty(), whole[1:]])
+    assert joined.boxes_xyxy.tolist() == boxes.tolist()
+    assert joined.reasons.tolist() == whole.reasons.tolist()
+    assert len(IgnoredBoxes.concatenate([])) == len(IgnoredBoxes.empty()) == 0
+
+
+def test_reasons_of_rejects_become_reasons_to_ignore():
+    for reason in IgnoreReason:
+        assert IgnoreReason.of_reject(reason.text) is reason
+    assert IgnoreReason.of_reject("inside a better mask") is IgnoreReason.OTHER
 
 
 @pytest.mark.parametrize("flags", [0, Flag.MIRRORED, Flag.REVERSED, Flag.MIRRORED | Flag.REVERSED])

@@ -60,6 +60,13 @@ def _link(name: str, link: object) -> Change:
     return change
 
 
+def _drop(name: str) -> Change:
+    def change(file: h5py.File) -> None:
+        del file[name]
+
+    return change
+
+
 def _group(file: h5py.File) -> None:
     del file["labels/cc"]
     file.create_group("labels/cc")
@@ -104,6 +111,12 @@ HOSTILE: dict[str, tuple[Change, str]] = {
     "flat boxes": (_replace("labels/box", data=np.zeros(24, np.float32)), "labels/box: expected shape (*, 4)"),
     "swapped tables": (_swap, "labels/box: expected type <f4"),
     "no offsets": (_replace("labels/offset", shape=(0,), dtype="i8"), "labels/offset: expected shape"),
+    "no ignored boxes": (_drop("ignored/box"), "ignored/box: missing"),
+    "ignored reasons of another length": (
+        _replace("ignored/reason", data=np.zeros(50, np.uint8)), "ignored/reason: expected"
+    ),
+    "hidden for other labels": (_replace("labels/hidden", data=np.zeros(50, np.float32)), "labels/hidden: expected 6"),
+    "said to be of version 0": (_attribute("version", 0), "shard format 0, this labelgen reads 1 and 2"),
     "no UTF-8": (_replace("samples/source", data=np.array([b"\xff"] * 3)), "codec can't decode"),
     "version is an array": (_attribute("version", [1, 1]), "shard format None"),
     "version is text": (_attribute("version", "1"), "shard format None"),
@@ -184,6 +197,13 @@ WRONG_VALUES: dict[str, tuple[Change, str]] = {
     "negative frame": (_set("samples/frame", 0, -5), "samples/frame: expected numbers from -1"),
     "score above 1": (_set("labels/score", 0, 1.5), "labels/score: expected values in [0, 1]"),
     "candidate above 1": (_set("labels/candidates", 0, 2), "labels/candidates: expected values in [0, 1] or NaN"),
+    "negative sigma": (_set("labels/sigma", (0, 4), -1), "labels/sigma: expected finite numbers from 0, or NaN"),
+    "infinite sigma": (_set("labels/sigma", (0, 0), np.inf), "labels/sigma: expected finite numbers from 0, or NaN"),
+    "more than all hidden": (_set("labels/hidden", 0, 1.5), "labels/hidden: expected values in [0, 1] or NaN"),
+    "ignored box without area": (_set("ignored/box", 0, (5, 5, 5, 9)), "ignored/box: expected finite x0 < x1"),
+    "ignored box that is NaN": (_set("ignored/box", (0, 1), np.nan), "ignored/box: expected finite x0 < x1"),
+    "unknown reason": (_set("ignored/reason", 0, 77), "ignored/reason: unknown reason"),
+    "ignored offsets too far": (_set("ignored/offset", -1, 99), "ignored/offset: expected to rise from 0 to"),
     "box of 1e30": (_set("labels/box", 0, (0, 0, 1e30, 1e30)), "labels/box: expected finite x0 < x1"),
     "NaN vanishing point": (_set("cameras/vp1", 0, np.nan), "cameras/vp1, vp2, pp: expected finite numbers"),
     "impossible camera": (_set("cameras/vp2", 0, (269.2, -43.6)), "cannot be orthogonal"),
@@ -283,7 +303,7 @@ def test_text_fields_that_name_one_text_very_often_do_not_fill_the_memory(tmp_pa
     rows = 100_000
     write_shard(path, samples=0)
     with h5py.File(path, "r+") as file:
-        for name in ("images/offset", "labels/offset"):
+        for name in ("images/offset", "labels/offset", "ignored/offset"):
             _replace(name, data=np.zeros(rows + 1, "i8"))(file)
         for name in ("matrix", "vpu", "window", "camera", "frame", "time", "split"):
             field = file[f"samples/{name}"]

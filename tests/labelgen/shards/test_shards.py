@@ -6,6 +6,7 @@ import hashlib
 import json
 import multiprocessing
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,6 +16,7 @@ from samples import CAMERA, SIZE, make_sample, write_shard
 
 from labelgen.errors import DataError, OutputError
 from labelgen.geometry import Camera, Pair
+from labelgen.labels import IgnoredBoxes, Labels
 from labelgen.shards import (
     Reject,
     ShardDataset,
@@ -31,7 +33,12 @@ from labelgen.shards import (
 def test_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "shard-00000.h5"
     other = Camera(CAMERA.vp1 + 5, CAMERA.vp2, CAMERA.pp, name="no scale, no size")
-    written = [make_sample(0), make_sample(1, 3, camera=other, source="straße/1.png"), make_sample(2, 1)]
+    fitted = Labels([[3, 4, 20, 30]], [0.5], sigmas=[[0.5, 1, 0.25, np.nan, 0.125]], hidden=[0.5])
+    written = [
+        make_sample(0),
+        make_sample(1, 3, camera=other, source="straße/1.png"),
+        replace(make_sample(2), labels=fitted, ignored=IgnoredBoxes([[1, 2, 3, 4], [-5, 6, 7, 8]], [5, 1])),
+    ]
     with ShardWriter(path, Pair.VP2_VP3, SIZE, source="clip", settings={"rule": "wider"}) as writer:
         for sample in written:
             writer.add(sample)
@@ -59,6 +66,10 @@ def test_round_trip(tmp_path: Path) -> None:
             np.testing.assert_array_equal(after.labels.flags, before.labels.flags)
             np.testing.assert_array_equal(after.labels.class_ids, before.labels.class_ids)
             assert np.isnan(after.labels.candidates).all()
+            np.testing.assert_array_equal(after.labels.sigmas, before.labels.sigmas)
+            np.testing.assert_array_equal(after.labels.hidden, before.labels.hidden)
+            np.testing.assert_allclose(after.ignored.boxes_xyxy, before.ignored.boxes_xyxy, rtol=1e-6)
+            np.testing.assert_array_equal(after.ignored.reasons, before.ignored.reasons)
             points, valid = after.vertices_px()
             wanted, _ = before.vertices_px()
             assert valid.all()
@@ -185,7 +196,7 @@ def _attribute(name: str, value):
         (_set("rejects", 0, 0), "hash differs"),
         (_drop("labels/flags"), "lacks labels/flags"),
         (_retype, "labels/cc: expected type <f4"),
-        (_attribute("version", 99), "shard format 99, this labelgen reads 1"),
+        (_attribute("version", 99), "shard format 99, this labelgen reads 1 and 2"),
         (_attribute("format", "other"), "not a labelgen shard"),
         (_attribute("pair", "VP9-VP9"), "unknown pair"),
     ],
