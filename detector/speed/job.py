@@ -231,8 +231,7 @@ def job_from_file(
     pictures = with_pictures and scene.frames_path is not None
     frames = TimedFrames(scene.open_frames(), fps=fps) if pictures and scene.frames_path else None
     lane_lines, notes = read_lane_lines(scene)
-    doubt = view.camera.size_doubt()
-    notes = (*([doubt] if doubt else []), *notes)
+    notes = (*scene.size_notes(file.frame_wh), *notes)
 
     def detections() -> Iterator[FrameDetections]:
         lines = _with_times(timed.frames(view), file.path)

@@ -45,6 +45,7 @@ def road_mask(
     from labelgen.calibration.observation.collect import observe
     from labelgen.calibration.pipeline import calibrate_video
     from labelgen.calibration.road_mask import estimate_road_mask, write_mask
+    from labelgen.datasets.scene import size_notes
     from labelgen.errors import OutputError
     from labelgen.geometry import Camera
     from labelgen.media.frame_notes import frame_notes
@@ -61,7 +62,7 @@ def road_mask(
             camera, observations, doubts = estimated.camera, estimated.observations, list(estimated.doubts)
         else:
             camera = Camera.load(calibration, image_wh=frames.size_wh)
-            doubts = [doubt for doubt in [camera.size_doubt()] if doubt]
+            doubts = list(size_notes(calibration, None, frames.size_wh))
             observations = observe(frames, duration_s=duration)
     road = estimate_road_mask(camera, observations.tracks)
     write_mask(out, road.pixels)

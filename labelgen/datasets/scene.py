@@ -32,7 +32,16 @@ from labelgen.media.image_file import read_image
 from labelgen.media.open_frames import open_frames
 from labelgen.media.stream import VideoStream
 
-__all__ = ["Scene", "SceneFiles", "find_scene", "is_session", "open_stream", "read_lane_lines", "read_mask"]
+__all__ = [
+    "Scene",
+    "SceneFiles",
+    "find_scene",
+    "is_session",
+    "open_stream",
+    "read_lane_lines",
+    "read_mask",
+    "size_notes",
+]
 
 
 @dataclass(frozen=True)
@@ -94,7 +103,7 @@ class SceneFiles:
 
     def size_notes(self, image_wh: tuple[int, int]) -> tuple[str, ...]:
         """Return what is scaled to frames of `image_wh` px, and what may be of another size, one line each."""
-        return _size_notes(self.calibration_path, self.mask_path, image_wh)
+        return size_notes(self.calibration_path, self.mask_path, image_wh)
 
     def open(self, *, fps: float | None = None) -> Scene:
         """Open the frames, the calibration, the road mask and, for a session, the lanes of its ground truth.
@@ -186,7 +195,7 @@ def open_stream(
     frames = VideoStream(url, duration_s=duration_s, stall_s=stall_s, fps=fps, stream=stream)
     size = frames.size_wh
     road = RoadMask(read_mask(road_mask, image_wh=size))
-    notes = _size_notes(calibration, road_mask, size)
+    notes = size_notes(calibration, road_mask, size)
     return Scene(None, frames.name, frames, Camera.load(calibration, image_wh=size), road, fps, notes=notes)
 
 
@@ -324,18 +333,30 @@ def read_mask(path: Path, *, image_wh: tuple[int, int] | None = None) -> NDArray
         raise DataError(str(err).replace("road mask:", f"road mask {path}:", 1), parameter=err.parameters) from None
 
 
-def _size_notes(calibration: Path, road_mask: Path, image_wh: tuple[int, int]) -> tuple[str, ...]:
-    """Return what is scaled to frames of `image_wh` px, and what may be of another size, one line each."""
+def size_notes(calibration: Path, road_mask: Path | None, image_wh: tuple[int, int]) -> tuple[str, ...]:
+    """Return what is scaled to frames of `image_wh` px, and what may be of another size, one line each.
+
+    Args:
+        calibration, road_mask: their files; None for no road mask.
+        image_wh: size of the frames, px.
+
+    Raises:
+        DataError, CalibrationError: a file cannot be read, or is of frames of another ratio.
+    """
+    camera = Camera.load(calibration)
     notes = []
-    camera, mask = Camera.load(calibration), read_mask(road_mask)
-    for what, path, own in (
-        ("calibration", calibration, camera.image_wh),
-        ("road mask", road_mask, (mask.shape[1], mask.shape[0])),
-    ):
-        if own not in (None, tuple(image_wh)):
-            notes.append(f"{what} {path.name}: of {size_text(own)} px, scaled to the frames' {size_text(image_wh)}")
+    own = camera.own_wh(image_wh)
+    if own is not None and own != tuple(image_wh):
+        why = "" if camera.image_wh else ", as its principal point shows"
+        notes.append(f"calibration {calibration.name}: of {size_text(own)} px{why}, {_scaled_to(image_wh)}")
+    if road_mask is not None and (mask_wh := read_mask(road_mask).shape[::-1]) != tuple(image_wh):
+        notes.append(f"road mask {road_mask.name}: of {size_text(mask_wh)} px, {_scaled_to(image_wh)}")
     doubt = camera.fitted_to(image_wh).size_doubt()
     return (*notes, *([doubt] if doubt else []))
+
+
+def _scaled_to(image_wh: tuple[int, int]) -> str:
+    return f"scaled to the frames' {size_text(image_wh)}"
 
 
 def read_lane_lines(files: SceneFiles) -> tuple[Array | None, tuple[str, ...]]:

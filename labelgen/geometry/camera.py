@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from labelgen.atomic_files import write_json
 from labelgen.errors import CalibrationError
-from labelgen.geometry.frame_size import scale_between, size_text
+from labelgen.geometry.frame_size import is_off_centre, scale_between, size_of_middle, size_text
 from labelgen.geometry.homography import Array
 from labelgen.json_file import read_json
 
@@ -39,9 +39,6 @@ PLANE_OFFSET = 10.0
 # Least cosine between a ray and the road's normal for a pixel below the horizon. A camera 10 m above the road sees a
 # road point at this angle 1000 km away.
 _HORIZON_COS = 1e-5
-# Largest plausible distance of the principal point from the frame's middle, as a share of the frame's side: lenses and
-# sensors are off by a few hundredths. More comes from a cropped frame, or from a calibration of another frame size.
-_MAX_OFF_CENTRE = 0.15
 _SIZE_KEY = "image_wh"
 
 
@@ -353,13 +350,29 @@ class Camera:
         unit = replace(camera, scale=1.0)
         return replace(camera, scale=self.height_m / unit.height_m)
 
+    def own_wh(self, image_wh: tuple[int, int]) -> tuple[int, int] | None:
+        """Return the frame size that the camera is of, px: as it states, or as its principal point shows.
+
+        Args:
+            image_wh: size of the frames that it shall be used for, px; None is returned where nothing says that the
+                camera is of another one.
+        """
+        return self.image_wh or size_of_middle(self.pp.tolist(), image_wh)
+
     def fitted_to(self, image_wh: tuple[int, int]) -> Camera:
         """Return the camera for frames of a size (width, height) px: scaled where it is of another size.
 
         Raises:
-            CalibrationError: it is of frames of another ratio.
+            CalibrationError: it is of frames of another ratio; or it states no size, and its principal point is far
+                from the middle of such frames.
         """
-        own = self.image_wh
+        own = self.own_wh(image_wh)
+        if own is None and is_off_centre(self.pp.tolist(), image_wh):
+            raise CalibrationError(
+                f"{self._principal_point(image_wh)}: it is of frames of another size; calibrate this video, or, where "
+                f'its frames are cropped, state their size in the file as "{_SIZE_KEY}": {list(image_wh)}',
+                parameter="calibration",
+            )
         if own is None or own == tuple(image_wh):
             return replace(self, image_wh=image_wh)
         factor = scale_between(own, image_wh)
@@ -373,16 +386,14 @@ class Camera:
 
     def size_doubt(self) -> str | None:
         """Return a line that says why the calibration may be of frames of another size; None where nothing does."""
-        if self.image_wh is None or (np.abs(self.pp / self.image_wh - 0.5) <= _MAX_OFF_CENTRE).all():
+        if self.image_wh is None or not is_off_centre(self.pp.tolist(), self.image_wh):
             return None
-        wh = self.image_wh
-        doubled = (round(2 * float(self.pp[0])), round(2 * float(self.pp[1])))
-        reason = "right only where the frames are cropped"
-        if min(doubled) > 0 and scale_between(doubled, wh) is not None:
-            reason = f"it looks like a calibration of frames of {size_text(doubled)} px, which must be scaled"
+        return f"{self._principal_point(self.image_wh)}: right only where the frames are cropped"
+
+    def _principal_point(self, image_wh: tuple[int, int]) -> str:
         return (
             f"calibration {self.name}: its principal point ({self.pp[0]:g}, {self.pp[1]:g}) is far from the middle "
-            f"({wh[0] / 2:g}, {wh[1] / 2:g}) of the frames of {size_text(wh)} px: {reason}"
+            f"({image_wh[0] / 2:g}, {image_wh[1] / 2:g}) of the frames of {size_text(image_wh)} px"
         )
 
 

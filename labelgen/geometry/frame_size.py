@@ -5,10 +5,44 @@ Convention: sizes are (width, height) in px.
 
 from __future__ import annotations
 
-__all__ = ["scale_between", "size_text"]
+from collections.abc import Sequence
+
+__all__ = ["is_off_centre", "scale_between", "size_of_middle", "size_text"]
 
 # Sizes of one ratio differ by the rounding of one side to whole px.
 _ROUNDING_PX = 1.0
+# Share of the frame's sides by which real principal points lie off the middle at most.
+_MAX_OFF_CENTRE = 0.15
+# A principal point that is known to this many px is the exact middle of a size in whole px.
+_EXACT_PX = 0.01
+
+
+def is_off_centre(point_px: Sequence[float], frame_wh: tuple[int, int]) -> bool:
+    """Return whether a point (x, y) px lies so far from the frame's middle that it is no principal point of it."""
+    return any(abs(x / size - 0.5) > _MAX_OFF_CENTRE for x, size in zip(point_px, frame_wh, strict=True))
+
+
+def size_of_middle(point_px: Sequence[float], frame_wh: tuple[int, int]) -> tuple[int, int] | None:
+    """Return the other frame size whose middle a principal point is, for a calibration that states no size.
+
+    A point far from the middle counts as the middle of a size of the frames' ratio, to the rounding of one side; a
+    point nearer to it must be that to a hundredth of a px, in both axes, as measured points are not.
+
+    Args:
+        point_px: principal point (x, y), px.
+        frame_wh: size of the frames that it shall be used for.
+
+    Returns:
+        the size; None where it is the frames' own, or where there is none of their ratio.
+    """
+    doubled = [2 * float(x) for x in point_px]
+    width, height = (round(x) for x in doubled)
+    if min(width, height) <= 0 or (width, height) == tuple(frame_wh):
+        return None
+    if is_off_centre(point_px, frame_wh):
+        return None if scale_between((width, height), frame_wh) is None else (width, height)
+    exact = all(abs(x - whole) <= _EXACT_PX for x, whole in zip(doubled, (width, height), strict=True))
+    return (width, height) if exact and width * frame_wh[1] == height * frame_wh[0] else None
 
 
 def scale_between(from_wh: tuple[int, int], to_wh: tuple[int, int]) -> float | None:

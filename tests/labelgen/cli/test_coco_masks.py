@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from clips import CAMERA, write_clip
 
@@ -213,7 +215,9 @@ def test_names_that_would_steer_the_terminal_are_escaped(labelgen, clip: Path, t
 
 def test_a_calibration_of_another_size_gives_the_same_speeds(labelgen, clip: Path, tmp_path: Path) -> None:
     rows = []
-    for number, camera in enumerate([CAMERA, CAMERA.resized(3.0)]):
+    # Of these frames; of larger ones, as it states; of larger and of smaller ones, as its principal point shows.
+    unstated = [replace(CAMERA.resized(factor), image_wh=None) for factor in (2.0, 0.75)]
+    for number, camera in enumerate([CAMERA, CAMERA.resized(3.0), *unstated]):
         camera.save(tmp_path / "c.json")
         done = labelgen(
             "speed", clip, "--calibration", "c.json", "--from", f"masks:coco:{clip.parent / 'masks.json'}",
@@ -225,6 +229,16 @@ def test_a_calibration_of_another_size_gives_the_same_speeds(labelgen, clip: Pat
         rows.append([line.split(",") for line in table.read_text().splitlines()])
     heading = rows[0][0]
     for column in ("speed_kmh", "length_m", "width_m", "height_m"):
-        exact, scaled = ([float(row[heading.index(column)]) for row in table[1:]] for table in rows)
+        exact, *scaled = ([float(row[heading.index(column)]) for row in table[1:]] for table in rows)
         assert exact
-        assert scaled == pytest.approx(exact, abs=0.011)
+        for values in scaled:
+            assert values == pytest.approx(exact, abs=0.011)
+
+
+@pytest.mark.parametrize("command", ["speed", "bcs-masks", "rectify", "road-mask"])
+def test_a_calibration_of_another_shape_is_refused(labelgen, clip: Path, tmp_path: Path, command: str) -> None:
+    replace(CAMERA, pp=np.array([320.0, 240.0]), image_wh=None).save(tmp_path / "c.json")
+    mask = [] if command == "road-mask" else ["--road-mask", clip.with_suffix("").with_suffix(".mask.png")]
+    done = labelgen(command, clip, "--calibration", "c.json", *mask, "--out", "out.png")
+    assert done.returncode == 2
+    assert "principal point (320, 240) is far from the middle (320, 180)" in done.stderr

@@ -268,11 +268,37 @@ def test_a_size_that_is_none_is_refused(tmp_path):
         Camera.load(tmp_path / "east.json")
 
 
-def test_a_principal_point_far_from_the_middle_is_told():
-    camera = Camera(**GOOD)
-    assert camera.size_doubt() is None
-    assert camera.fitted_to((640, 360)).size_doubt() is None
-    doubt = camera.fitted_to((320, 180)).size_doubt()
-    assert doubt is not None
-    assert "frames of 640x360 px, which must be scaled" in doubt
-    assert "cropped" in str(camera.fitted_to((640, 240)).size_doubt())
+@pytest.mark.parametrize(
+    ("pp", "frame_wh", "own_wh"),
+    [
+        ((320, 180), (640, 360), None),  # of these frames
+        ((320, 180), (320, 180), (640, 360)),
+        ((160, 90), (640, 360), (320, 180)),
+        ((480, 270), (1280, 720), (960, 540)),  # near the middle, but exactly that of another size
+        ((960, 540), (1280, 720), (1920, 1080)),
+        ((427, 240), (1920, 1080), (854, 480)),  # a ratio but for the rounding of one side
+        ((310.3, 174.5), (640, 360), None),  # measured, and on the diagonal of the frame
+        ((352, 240), (720, 480), None),
+    ],
+)
+def test_a_principal_point_shows_the_size_of_a_calibration(
+    pp: tuple[float, float], frame_wh: tuple[int, int], own_wh: tuple[int, int] | None
+) -> None:
+    camera = Camera(np.subtract(pp, (100.0, 200.0)), np.add(pp, (3000.0, -220.0)), np.array(pp), 0.06)
+    fitted = camera.fitted_to(frame_wh)
+    assert camera.own_wh(frame_wh) == own_wh
+    assert fitted.image_wh == frame_wh
+    assert fitted.size_doubt() is None
+    factor = 1.0 if own_wh is None else frame_wh[0] / own_wh[0]
+    # Points of the scene keep their places on the road: distances are those of the camera's own frames.
+    points = np.array([pp, (pp[0] + 30.0, pp[1] + 40.0)])
+    assert fitted.road_points(points * factor) == pytest.approx(camera.road_points(points), rel=1e-9)
+
+
+@pytest.mark.parametrize("frame_wh", [(640, 240), (320, 240), (1280, 360)])
+def test_a_principal_point_far_from_the_middle_is_refused_or_told(frame_wh: tuple[int, int]) -> None:
+    camera = Camera(**GOOD)  # its principal point is that of 640x360
+    with pytest.raises(CalibrationError, match=r"is far from the middle .* state their size in the file"):
+        camera.fitted_to(frame_wh)
+    stated = Camera(**GOOD, image_wh=frame_wh)
+    assert stated.fitted_to(frame_wh).size_doubt().endswith("right only where the frames are cropped")
