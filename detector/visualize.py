@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.drawing import GREEN, YELLOW, Picture, draw_box3d, draw_polyline, draw_text
+from labelgen.drawing import GREEN, YELLOW, Picture, draw_box3d, draw_dashed_box, draw_polyline, draw_text
 from labelgen.geometry import decode_boxes
 from labelgen.geometry.homography import Array
 from labelgen.labels import Labels, Sample
@@ -16,7 +16,7 @@ __all__ = ["draw_boxes", "draw_sample", "tile"]
 
 
 def draw_sample(sample: Sample, detections: Labels, score: float = 0.5) -> Picture:
-    """Draw a sample with the 2D boxes of its labels, in green, and with detections as of `draw_boxes`.
+    """Draw a sample with the 2D boxes of its labels, in green, ignored boxes, dashed, and detections as `draw_boxes`.
 
     Args:
         sample: one rectified image with its labels.
@@ -29,6 +29,8 @@ def draw_sample(sample: Sample, detections: Labels, score: float = 0.5) -> Pictu
     image = sample.image
     for box in sample.labels.boxes_xyxy:
         _draw_box(image, box, GREEN)
+    for box in sample.ignored.boxes_xyxy:
+        draw_dashed_box(image, box)
     shown = detections[detections.scores >= score]
     draw_boxes(image, shown.boxes_xyxy, shown.cc, shown.scores, sample.rectification.vpu)
     return image

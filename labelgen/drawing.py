@@ -7,6 +7,7 @@ Convention:
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ __all__ = [
     "BLUE",
     "CYAN",
     "GREEN",
+    "GREY",
     "MAGENTA",
     "RED",
     "WHITE",
@@ -26,6 +28,7 @@ __all__ = [
     "crop_around",
     "draw_arrow",
     "draw_box3d",
+    "draw_dashed_box",
     "draw_label",
     "draw_polyline",
     "draw_text",
@@ -37,6 +40,7 @@ Picture = NDArray[np.uint8]
 GREEN, YELLOW, MAGENTA, RED, BLUE, CYAN, WHITE = (
     (80, 220, 80), (0, 230, 255), (255, 60, 255), (60, 60, 255), (255, 140, 40), (255, 230, 60), (255, 255, 255),
 )  # fmt: skip
+GREY = (170, 170, 170)
 
 _FRONT, _REAR = (0, 1, 5, 4), (3, 2, 6, 7)
 _SHIFT = 4
@@ -113,6 +117,22 @@ def draw_label(
     y = y0 + cc * (y1 - y0)
     draw_polyline(image, [[x0, y], [x1, y]], YELLOW)
     draw_arrow(image, [(x0 + x1) / 2, (y0 + y1) / 2], vpu, 0.35 * max(x1 - x0, y1 - y0), MAGENTA)
+
+
+def draw_dashed_box(
+    image: Picture, box_xyxy: ArrayLike, text: str = "", colour: Sequence[int] = GREY, dash_px: float = 4.0
+) -> None:
+    """Draw a 2D box (4,), px, as dashes of a length in px with gaps as long, and a text above it."""
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(box_xyxy, dtype=np.float64))
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
+    # Cut near the picture: a box far beyond it would take very many dashes.
+    corners = np.clip(corners, -2 * dash_px, np.array(image.shape[1::-1]) + 2 * dash_px)
+    for start, end in itertools.pairwise(corners):
+        steps = max(1, int(np.linalg.norm(end - start) / dash_px))
+        points = np.linspace(start, end, steps + 1)
+        for i in range(0, steps, 2):
+            draw_polyline(image, points[i : i + 2], colour)
+    draw_text(image, text, (int(corners[0, 0]), max(10, int(corners[0, 1]) - 3)), 0.33, colour)
 
 
 def crop_around(image: Picture, box_xyxy: ArrayLike, margin: float, size: int) -> tuple[Picture, NDArray[np.float64]]:

@@ -71,7 +71,7 @@ class MaskPlacer:
         return detections
 
     def _labels(self, masks: InstanceMasks, rectification: Rectification) -> Labels:
-        labels, rejects = label_masks(masks, rectification, self.view.camera, self._road, self._rule, self._limits)
+        labels, rejects, _ = label_masks(masks, rectification, self.view.camera, self._road, self._rule, self._limits)
         self.rejects.update(reason for _, reason, _ in rejects)
         return labels
 

@@ -9,10 +9,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.drawing import crop_around, draw_box3d, draw_label, draw_text, fit_into, tile_pictures
+from labelgen.drawing import (
+    crop_around,
+    draw_box3d,
+    draw_dashed_box,
+    draw_label,
+    draw_text,
+    fit_into,
+    tile_pictures,
+)
 from labelgen.errors import OutputError
 from labelgen.geometry.homography import apply_homography, bounding_boxes
-from labelgen.labels import Flag, Sample, VehicleClass
+from labelgen.labels import Flag, IgnoreReason, Sample, VehicleClass
 from labelgen.shards import ShardDataset
 
 __all__ = ["frame_sheets", "label_sheets", "pick_labels", "save_picture"]
@@ -23,6 +31,7 @@ _FLAG_LETTERS = {
     Flag.MISALIGNED: "misaligned",
     Flag.CANDIDATES_DISAGREE: "disagree",
     Flag.TOUCHING: "touching",
+    Flag.OCCLUDED: "occluded",
 }
 
 
@@ -86,7 +95,9 @@ def label_sheets(
 
 
 def frame_sheets(data: ShardDataset[Sample], out: Path, *, count: int = 12, per_sheet: int = 6) -> list[Path]:
-    """Write sheets of whole rectified images with all their labels, which show vehicles without a label.
+    """Write sheets of whole rectified images with all their labels and ignored boxes.
+
+    They show vehicles that have neither.
 
     Args:
         data: the shards; samples are taken at equal distances.
@@ -105,6 +116,8 @@ def frame_sheets(data: ShardDataset[Sample], out: Path, *, count: int = 12, per_
         vertices, valid = sample.labels.vertices(sample.rectification.vpu)
         for box, cc, points, good in zip(sample.labels.boxes_xyxy, sample.labels.cc, vertices, valid, strict=True):
             draw_label(picture, box, float(cc), sample.rectification.vpu, points if good else None)
+        for box, reason in zip(sample.ignored.boxes_xyxy, sample.ignored.reasons.tolist(), strict=True):
+            draw_dashed_box(picture, box, IgnoreReason(reason).text)
         w, h = sample.rectification.size_wh
         tile = fit_into(picture, (640, 360) if w >= h else (360, 640))
         draw_text(tile, f"{sample.source} frame {sample.frame}", (6, 14))
@@ -128,6 +141,8 @@ def _label_tile(sample: Sample, label: int, original: NDArray[np.uint8] | None, 
     tile_box = apply_homography(to_tile, box.reshape(2, 2)).reshape(4)
     tile_vpu = apply_homography(to_tile, vpu[None])[0]
     tile_vertices = apply_homography(to_tile, vertices[label]) if valid[label] else None
+    for ignored_box in sample.ignored.boxes_xyxy:
+        draw_dashed_box(drawn, apply_homography(to_tile, ignored_box.reshape(2, 2)).reshape(4))
     draw_label(drawn, tile_box, cc, tile_vpu, tile_vertices)
     flags = " ".join(text for flag, text in _FLAG_LETTERS.items() if labels.flags[label] & flag.value)
     kind = VehicleClass(int(labels.class_ids[label])).name.lower()

@@ -163,6 +163,8 @@ def _write_page(data: ShardDataset[Sample], audit: Audit) -> None:
         ("labels", summary.labels),
         ("rejects", summary.rejects),
         *((f"&nbsp;&nbsp;{html.escape(reason)}", count) for reason, count in summary.reasons.most_common()),
+        ("ignored boxes", summary.ignored.total()),
+        *((f"&nbsp;&nbsp;{html.escape(reason)}", count) for reason, count in summary.ignored.most_common()),
         ("pair and size", f"{data.readers[0].pair} {data.readers[0].attributes['size']}"),
         *(("settings", html.escape(text)) for text in sorted({r.attributes["settings"] for r in data.readers})),
     ]
@@ -171,7 +173,8 @@ def _write_page(data: ShardDataset[Sample], audit: Audit) -> None:
     parts.append("<table>" + "".join(f"<tr><td>{name}<td>{value}" for name, value in rows) + "</table>")
     parts.append(
         "<p>On rectified pictures: <b>2D box</b> green, <b>c_c</b> yellow, towards <b>VPU</b> magenta, 3D box with its "
-        "front face red and the rest blue. Each label stands three times: bare, with the label, on the original.</p>"
+        "front face red and the rest blue; <b>ignored boxes</b> dashed grey with their reason. Each label stands three "
+        "times: bare, with the label, on the original.</p>"
     )
     parts += [f"<p>{html.escape(note)}</p>" for note in audit.notes]
     for chapter, pictures in audit.pictures.items():

@@ -238,6 +238,8 @@ def show_summary(title: str, summary: DatasetSummary, out: Path | None, json_fil
         ("labels", summary.labels),
         ("rejects", summary.rejects),
         *((f"  {reason}", count) for reason, count in summary.reasons.most_common()),
+        *([("ignored boxes", summary.ignored.total())] if summary.ignored else []),
+        *((f"  {reason}", count) for reason, count in summary.ignored.most_common()),
         ("shards", summary.shards),
         *summary.extra.items(),
     ]

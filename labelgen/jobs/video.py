@@ -348,9 +348,11 @@ class VideoUnit:
     ) -> None:
         name, road = self.files.name, scene.road.pixels
         if self.region is Region.NONE:
-            labels, rejects = flat_labels(masks, rectification, road, self.masks.limits)
+            labels, rejects, ignored = flat_labels(masks, rectification, road, self.masks.limits)
         else:
-            labels, rejects = label_masks(masks, rectification, scene.camera, road, self.masks.rule, self.masks.limits)
+            labels, rejects, ignored = label_masks(
+                masks, rectification, scene.camera, road, self.masks.rule, self.masks.limits
+            )
         for item, reason, detail in rejects:
             writer.reject(Reject(name, frame.number, item, reason, detail))
         if not len(labels):
@@ -360,7 +362,9 @@ class VideoUnit:
         window = np.array([0.0, 0.0, *scene.frames.size_wh])
         split = self.files.split_of(frame.number)
         writer.add(
-            Sample(encoded, labels, rectification, scene.camera, name, frame.number, frame.time_s, split, window)
+            Sample(
+                encoded, labels, rectification, scene.camera, name, frame.number, frame.time_s, split, window, ignored
+            )
         )
 
     def _part_of(self, number: int) -> int:

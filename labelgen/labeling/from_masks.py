@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -11,15 +12,16 @@ from numpy.typing import NDArray
 
 from labelgen.choices import Rule
 from labelgen.geometry.box_codec import decode_boxes, front_bottom_midpoints
+from labelgen.geometry.boxes import covered_share
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.cuboid import cuboid_sizes
 from labelgen.geometry.homography import Array
 from labelgen.geometry.outline_label import RectifiedOutline, label_outlines, rectified_outline
 from labelgen.geometry.rectification import Rectification
-from labelgen.labels import Flag, Labels
+from labelgen.labels import Flag, IgnoredBoxes, IgnoreReason, Labels
 from labelgen.masks import InstanceMasks
 
-__all__ = ["LABEL_LIMITS", "LabelLimits", "MaskReject", "flat_labels", "label_masks"]
+__all__ = ["LABEL_LIMITS", "FrameLabels", "LabelLimits", "MaskReject", "flat_labels", "label_masks"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class LabelLimits:
     """Largest difference of the two candidates for c_c that is not flagged: more, and the outline is not a box's."""
     min_inside: float = 0.8
     """Least share of a predicted mask inside one of a higher score that makes it a second mask of the same vehicle.
-    Less loses vehicles that are half hidden."""
+    Less loses vehicles that are half hidden. Its box is ignored unless another box covers as large a share of it."""
     border_share: float = 0.01
     """A predicted mask that ends within this share of the frame's side is cut by it: networks end short of it."""
     border_px: float = 1.0
@@ -48,9 +50,66 @@ class LabelLimits:
 
 
 LABEL_LIMITS = LabelLimits()
-_DOUBLED = ("inside a better mask", "")
 MaskReject = tuple[int, str, str]
 """Number of the mask in its frame, reason, detail."""
+
+
+class FrameLabels(NamedTuple):
+    """What the masks of one frame give.
+
+    Args:
+        labels: of the rectified frame.
+        rejects: one for each mask without a label, in the order of the masks.
+        ignored: boxes of these masks in the rectified frame, where they have one: the vehicles are still in the image.
+    """
+
+    labels: Labels
+    rejects: list[MaskReject]
+    ignored: IgnoredBoxes
+
+
+class _Rejections:
+    """The masks of a frame that gave no label, with the boxes to ignore in their place."""
+
+    def __init__(self) -> None:
+        self._rejects: list[MaskReject] = []
+        self._boxes: list[tuple[int, Array, IgnoreReason]] = []
+        self._second: list[tuple[int, Array]] = []
+
+    def add(
+        self, number: int, reason: str, detail: str = "", box_xyxy: Array | None = None, is_cut: bool = False
+    ) -> None:
+        """Reject a mask; its box (4,), rectified px, is ignored.
+
+        The size of a vehicle that the border cuts is no reason: its true one is unknown.
+        """
+        self._rejects.append((number, reason, detail))
+        if box_xyxy is not None:
+            ignore_reason = IgnoreReason.of_reject(reason)
+            if is_cut and ignore_reason in (IgnoreReason.TOO_SMALL, IgnoreReason.NO_3D_BOX):
+                ignore_reason = IgnoreReason.CUT
+            self._boxes.append((number, box_xyxy, ignore_reason))
+
+    def add_second(self, number: int, box_xyxy: Array | None) -> None:
+        """Reject a second mask of a vehicle; its box is ignored if nothing else covers it."""
+        self._rejects.append((number, "inside a better mask", ""))
+        if box_xyxy is not None:
+            self._second.append((number, box_xyxy))
+
+    def result(self, labels: Labels, limits: LabelLimits) -> FrameLabels:
+        """Return all that the frame gives."""
+        boxes = list(self._boxes)
+        # The better mask may have a label, a box to ignore, or be a second mask itself.
+        for number, box in self._second:
+            covering = np.concatenate([labels.boxes_xyxy, *(other[None] for _, other, _ in boxes)])
+            if not (covered_share([box], covering) >= limits.min_inside).any():
+                boxes.append((number, box, IgnoreReason.OTHER))
+        boxes.sort(key=lambda item: item[0])
+        # Shards store float32, in which a box of no width may come out.
+        array = np.array([box for _, box, _ in boxes], dtype=np.float32).reshape(-1, 4).astype(np.float64)
+        ignored_reasons = np.array([int(reason) for _, _, reason in boxes], dtype=np.uint8)
+        solid = (array[:, :2] < array[:, 2:]).all(axis=1)
+        return FrameLabels(labels, sorted(self._rejects), IgnoredBoxes(array[solid], ignored_reasons[solid]))
 
 
 def label_masks(
@@ -60,7 +119,7 @@ def label_masks(
     road: NDArray[np.bool_],
     rule: Rule = Rule.WIDER,
     limits: LabelLimits = LABEL_LIMITS,
-) -> tuple[Labels, list[MaskReject]]:
+) -> FrameLabels:
     """Label the vehicles of one frame.
 
     Args:
@@ -72,40 +131,27 @@ def label_masks(
         limits: thresholds.
 
     Returns:
-        Labels of the rectified frame, and a reject for each mask without a label.
+        Labels of the rectified frame, a reject for each mask without a label, and the boxes to ignore.
     """
-    rejects: list[MaskReject] = []
-    outlines: list[RectifiedOutline] = []
-    numbers: list[int] = []
+    rejections = _Rejections()
     doubled = _doubled(masks, limits)
-    for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
-        if doubled[i]:
-            rejects.append((i, *_DOUBLED))
-            continue
-        outline = rectified_outline(rectification, crop, (origin[0], origin[1]))
-        if outline is None:
-            rejects.append((i, "outside the rectified image", ""))
-        elif (height := outline.box_xyxy[3] - outline.box_xyxy[1]) < limits.min_height_px:
-            rejects.append((i, *_too_small(height, limits)))
-        else:
-            outlines.append(outline)
-            numbers.append(i)
-    if not numbers:
-        return Labels.empty(), rejects
-    index = np.array(numbers)
-    mask_labels = label_outlines(outlines, rectification.vpu, rule)
+    outlines = _large_outlines(masks, rectification, doubled, limits, rejections)
+    if not outlines:
+        return rejections.result(Labels.empty(), limits)
+    index = np.array(list(outlines))
+    mask_labels = label_outlines(list(outlines.values()), rectification.vpu, rule)
     # Shards store float32, so the label is what can be decoded from float32.
     boxes = mask_labels.boxes_xyxy.astype(np.float32).astype(np.float64)
     cc = np.clip(mask_labels.cc, 0, 1).astype(np.float32).astype(np.float64)
     vertices, valid = decode_boxes(boxes, cc, rectification.vpu)
     valid &= mask_labels.valid
-    cut = _truncated(boxes, rectification.size_wh, limits.border_px) | _at_frame_border(masks, index, limits)
+    cut = _truncated(boxes, rectification.size_wh, limits.border_px) | _at_frame_border(masks, limits)[index]
     on_road = _on_road(
         masks, index, road, rectification.points_back(front_bottom_midpoints(vertices)), limits.min_on_road
     )
     bad_size, sizes = _implausible(vertices, rectification, camera, limits)
     keep = np.ones(len(index), dtype=np.bool_)
-    for j, i in enumerate(numbers):
+    for j, i in enumerate(index.tolist()):
         reason = None
         if not valid[j]:
             reason = ("no valid 3D box", f"c_c {cc[j]:.3f}" if mask_labels.valid[j] else "VPU lies within its height")
@@ -114,7 +160,7 @@ def label_masks(
         elif bad_size[j] and not cut[j]:
             reason = ("implausible size", "length x width x height {:.1f} x {:.1f} x {:.1f} m".format(*sizes[j]))
         if reason:
-            rejects.append((i, *reason))
+            rejections.add(i, *reason, box_xyxy=boxes[j], is_cut=bool(cut[j]))
             keep[j] = False
     disagree = np.abs(np.diff(mask_labels.candidates, axis=1))[:, 0] > limits.max_candidate_difference
     flags = (
@@ -128,7 +174,32 @@ def label_masks(
         flags[keep].astype(np.uint16),
         mask_labels.candidates[keep],
     )
-    return labels, sorted(rejects)
+    return rejections.result(labels, limits)
+
+
+def _large_outlines(
+    masks: InstanceMasks,
+    rectification: Rectification,
+    doubled: NDArray[np.bool_],
+    limits: LabelLimits,
+    rejections: _Rejections,
+) -> dict[int, RectifiedOutline]:
+    """Return the outlines of masks that are high enough for a label, by the masks' numbers; reject the others."""
+    outlines: dict[int, RectifiedOutline] = {}
+    at_border = _at_frame_border(masks, limits)
+    for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
+        outline = rectified_outline(rectification, crop, (origin[0], origin[1]))
+        box = None if outline is None else outline.box_xyxy
+        if doubled[i]:
+            rejections.add_second(i, box)
+        elif outline is None or box is None:
+            rejections.add(i, "outside the rectified image")
+        elif (height := box[3] - box[1]) < limits.min_height_px:
+            is_cut = at_border[i] or _truncated(box[None], rectification.size_wh, limits.border_px)[0]
+            rejections.add(i, *_too_small(height, limits), box_xyxy=box, is_cut=bool(is_cut))
+        else:
+            outlines[i] = outline
+    return outlines
 
 
 def flat_labels(
@@ -136,7 +207,7 @@ def flat_labels(
     rectification: Rectification,
     road: NDArray[np.bool_],
     limits: LabelLimits = LABEL_LIMITS,
-) -> tuple[Labels, list[MaskReject]]:
+) -> FrameLabels:
     """Label the vehicles of one frame that is resized but not rectified: 2D boxes without c_c, with `Flag.FLAT`.
 
     Args:
@@ -146,35 +217,30 @@ def flat_labels(
         limits: thresholds; sizes in metres are not tested.
 
     Returns:
-        Labels of the resized frame, and a reject for each mask without a label.
+        Labels of the resized frame, a reject for each mask without a label, and the boxes to ignore.
     """
-    rejects: list[MaskReject] = []
+    rejections = _Rejections()
     boxes, numbers = [], []
-    doubled = _doubled(masks, limits)
-    for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
+    doubled, at_border = _doubled(masks, limits), _at_frame_border(masks, limits)
+    for i, box in enumerate(rectification.boxes(masks.boxes_xyxy) if len(masks) else []):
         if doubled[i]:
-            rejects.append((i, *_DOUBLED))
+            rejections.add_second(i, box)
             continue
-        low = np.asarray(origin, dtype=np.float64)
-        box = rectification.boxes([[*low, *(low + crop.shape[::-1])]])[0]
         contact_point = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
         if (height := box[3] - box[1]) < limits.min_height_px:
-            rejects.append((i, *_too_small(height, limits)))
+            rejections.add(i, *_too_small(height, limits), box_xyxy=box, is_cut=bool(at_border[i]))
         elif not _on_road(masks, np.array([i]), road, contact_point, limits.min_on_road)[0]:
-            rejects.append((i, "off the road", ""))
+            rejections.add(i, "off the road", box_xyxy=box)
         else:
             boxes.append(box)
             numbers.append(i)
     if not numbers:
-        return Labels.empty(), rejects
+        return rejections.result(Labels.empty(), limits)
     index = np.array(numbers)
-    flags = (
-        Flag.FLAT
-        + Flag.TRUNCATED * _at_frame_border(masks, index, limits)
-        + Flag.TOUCHING * _touching(masks, doubled)[index]
-    )
+    flags = Flag.FLAT + Flag.TRUNCATED * at_border[index] + Flag.TOUCHING * _touching(masks, doubled)[index]
     zeros = np.zeros(len(numbers))
-    return Labels(np.array(boxes), zeros, masks.class_ids[index], masks.scores[index], flags.astype(np.uint16)), rejects
+    labels = Labels(np.array(boxes), zeros, masks.class_ids[index], masks.scores[index], flags.astype(np.uint16))
+    return rejections.result(labels, limits)
 
 
 def _too_small(height: float, limits: LabelLimits) -> tuple[str, str]:
@@ -192,10 +258,10 @@ def _doubled(masks: InstanceMasks, limits: LabelLimits) -> NDArray[np.bool_]:
     return masks.inside_better(limits.min_inside) if masks.are_predicted else np.zeros(len(masks), dtype=np.bool_)
 
 
-def _at_frame_border(masks: InstanceMasks, index: NDArray[np.int64], limits: LabelLimits) -> NDArray[np.bool_]:
+def _at_frame_border(masks: InstanceMasks, limits: LabelLimits) -> NDArray[np.bool_]:
+    """Return which of N masks (N,) the border of the frame cuts."""
     margin = limits.border_share * np.asarray(masks.frame_wh) if masks.are_predicted else np.zeros(2)
-    low = masks.origins[index]
-    high = low + np.array([masks.crops[i].shape[::-1] for i in index.tolist()])
+    low, high = masks.boxes_xyxy[:, :2], masks.boxes_xyxy[:, 2:]
     return np.asarray((low <= margin).any(axis=1) | (high >= np.asarray(masks.frame_wh) - margin).any(axis=1))
 
 

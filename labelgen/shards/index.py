@@ -12,6 +12,7 @@ from typing import Any
 from labelgen.atomic_files import write_atomic, write_json
 from labelgen.errors import DataError
 from labelgen.json_file import parse_json
+from labelgen.labels import IgnoreReason
 from labelgen.shards.reader import ShardReader
 from labelgen.shards.rejects import INPUT_PROBLEM, to_json_lines
 from labelgen.shards.schema import FORMAT, HASH_ATTRIBUTE, VERSION
@@ -45,6 +46,7 @@ class DatasetSummary:
         rejects: number of inputs without a label.
         shards: number of files.
         reasons: number of rejects by reason.
+        ignored: number of ignored boxes by reason.
         warnings: what a user must know of the data set.
         problems: what was skipped or left out of the input, one line each.
         notes: what else there is to say.
@@ -56,6 +58,7 @@ class DatasetSummary:
     rejects: int = 0
     shards: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
+    ignored: Counter[str] = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -69,6 +72,8 @@ class DatasetSummary:
             "rejects": self.rejects,
             "shards": self.shards,
             "rejects_by_reason": dict(sorted(self.reasons.items())),
+            "ignored": self.ignored.total(),
+            "ignored_by_reason": dict(sorted(self.ignored.items())),
             "warnings": [*self.warnings, *self.notes],
             "problems": self.problems,
             **self.extra,
@@ -87,6 +92,7 @@ def summarise(readers: Sequence[ShardReader]) -> DatasetSummary:
         summary.labels += reader.label_count
         summary.rejects += len(reader.rejects)
         summary.reasons.update(reject.reason for reject in reader.rejects)
+        summary.ignored.update(IgnoreReason(reason).text for reason in reader.table("ignored/reason").tolist())
         problems = dict.fromkeys(reject.detail for reject in reader.rejects if reject.reason == INPUT_PROBLEM)
         summary.problems += [line for line in problems if line not in summary.problems][:_MAX_PROBLEMS]
         reader.close()

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from boxcars_trees import write_tree
 from clips import write_clip
+from samples import SIZE, make_sample, write_shard
+
+from labelgen.geometry import Pair
+from labelgen.labels import IgnoredBoxes, IgnoreReason
+from labelgen.shards import ShardDataset, ShardWriter
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +116,59 @@ def test_audit_without_the_originals(labelgen, shards: Path, tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     assert "the original of the first sample is not available" in done.stderr
     assert (tmp_path / "look" / "labels-00.png").exists()
+
+
+def test_ignored_boxes_are_counted_by_reason(labelgen, tmp_path: Path) -> None:
+    write_shard(tmp_path / "shard-00000.h5", samples=5)  # one box in samples 0, 2 and 4, of reasons 0, 2 and 4
+    done = labelgen("inspect", "shard-00000.h5", "--json", "i.json")
+    assert done.returncode == 0, done.stderr
+    data = json.loads((tmp_path / "i.json").read_text())
+    assert data["ignored"] == 3
+    assert data["ignored_by_reason"] == {"no valid 3D box": 1, "other": 1, "too small": 1}
+    assert "ignored boxes" in done.stdout
+    assert "no valid 3D box" in done.stdout
+
+
+def test_an_audit_shows_ignored_boxes_dashed_with_their_reason(labelgen, tmp_path: Path) -> None:
+    box = np.array([[6.0, 12.0, 40.0, 30.0]])
+    blank = cv2.imencode(".png", np.zeros((SIZE[1], SIZE[0], 3), np.uint8))[1].tobytes()
+    pictures = {}
+    for name, ignored in (("with", IgnoredBoxes(box, [IgnoreReason.OFF_ROAD])), ("without", IgnoredBoxes.empty())):
+        with ShardWriter(tmp_path / f"{name}.h5", Pair.VP2_VP3, SIZE, source="clip") as writer:
+            writer.add(replace(make_sample(0), encoded=blank, ignored=ignored))
+        done = labelgen("audit", f"{name}.h5", "--out", name)
+        assert done.returncode == 0, done.stderr
+        pictures[name] = cv2.imread(str(tmp_path / name / "frames-00.png"))
+    changed = (pictures["with"] != pictures["without"]).any(axis=2)
+    gain, gap = 640 // SIZE[0], 6  # the picture is enlarged, with a margin
+    right_side = changed[gap + 16 * gain : gap + 30 * gain, gap + 40 * gain - 2 : gap + 40 * gain + 2].any(axis=1)
+    assert 0.2 < right_side.mean() < 0.9
+    assert not changed[gap + 20 * gain : gap + 25 * gain, gap + 46 * gain :].any()
+    page = (tmp_path / "with" / "index.html").read_text()
+    assert "ignored boxes<td>1" in page
+    assert "off the road<td>1" in page
+
+
+def test_masks_without_a_label_become_ignored_boxes(labelgen, shards: Path, tmp_path: Path) -> None:
+    clip = shards / "clip" / "clip.mp4"
+    options = [clip, "--masks", f"coco:{shards / 'clip' / 'masks.json'}", "--every", "5"]
+    boxes = [sample.labels.boxes_xyxy for sample in ShardDataset(shards / "masks")]
+    heights = np.array([pair[:, 3] - pair[:, 1] for pair in boxes])  # (frames, 2)
+    limit = float(heights[0].mean())
+    low = heights < limit
+    for workers in (1, 2):
+        out = f"out{workers}"
+        more = ["--min-height", limit, "--workers", workers, "--out", out, "--json", f"{out}.json"]
+        done = labelgen("bcs-masks", *options, *more)
+        assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "out1.json").read_text())
+    assert report["rejects_by_reason"]["too small"] == low.sum()
+    assert report["ignored"] == low[~low.all(axis=1)].sum() > 0  # frames without a label are left out
+    assert report["ignored_by_reason"] == {"too small": report["ignored"]}
+    assert (tmp_path / "out1" / "shard-00000.h5").read_bytes() == (tmp_path / "out2" / "shard-00000.h5").read_bytes()
+    before = {sample.frame: sample for sample in ShardDataset(shards / "masks")}
+    for sample in ShardDataset(tmp_path / "out1"):
+        assert sample.encoded == before[sample.frame].encoded
+        boxes = np.concatenate([sample.labels.boxes_xyxy, sample.ignored.boxes_xyxy])
+        wanted = before[sample.frame].labels.boxes_xyxy
+        np.testing.assert_allclose(boxes[boxes[:, 0].argsort()], wanted[wanted[:, 0].argsort()], atol=1e-5)
