@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["CalibrationError", "DataError", "LabelgenError", "NoVehiclesError", "OutputError", "RectificationError"]
+__all__ = [
+    "CalibrationError",
+    "DataError",
+    "LabelgenError",
+    "NoVehiclesError",
+    "NoWeightsError",
+    "OutputError",
+    "RectificationError",
+]
 
 
 class LabelgenError(Exception):
@@ -55,6 +63,25 @@ class NoVehiclesError(DataError):
     ) -> None:
         super().__init__(message, parameter=parameter)
         self.problems = tuple(problems)
+
+
+class NoWeightsError(LabelgenError):
+    """Weights of a network that cannot be had.
+
+    Args:
+        message: the line.
+        other_masks: names of mask sources that do without them.
+        parameter: see `LabelgenError`.
+
+    Attributes:
+        other_masks: as given.
+    """
+
+    def __init__(
+        self, message: str = "", *, other_masks: Sequence[str] = (), parameter: str | tuple[str, ...] | None = None
+    ) -> None:
+        super().__init__(message, parameter=parameter)
+        self.other_masks = tuple(other_masks)
 
 
 class OutputError(LabelgenError):

@@ -23,10 +23,10 @@ from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Rule
 from labelgen.geometry.homography import Array
 from labelgen.masks import (
-    COCO_OPTIONS,
+    MASK_OPTIONS,
     Clip,
-    CocoOptions,
     MaskKind,
+    MaskOptions,
     MaskSource,
     check_masks,
     check_masks_file,
@@ -50,7 +50,7 @@ class MaskSpeedSettings:
     """How speeds are measured on instance masks.
 
     Args:
-        masks: mask source, "background", "maskrcnn" or "coco:FILE".
+        masks: name of a mask source, see `labelgen.masks.parse_masks`.
         variant: how the measured point of a vehicle is found.
         pair: vanishing points of the rectification.
         size_wh: of the rectified image, px.
@@ -59,7 +59,7 @@ class MaskSpeedSettings:
         score: least score of a mask.
         weights: state dict of Mask R-CNN instead of COCO's.
         device: torch device; None for the GPU when there is one.
-        coco: how a COCO file is to be read.
+        options: of the mask source, where it takes any.
 
     Raises:
         LabelgenError: the variant does not go with these masks.
@@ -74,7 +74,7 @@ class MaskSpeedSettings:
     score: float = 0.5
     weights: Path | None = None
     device: str | None = None
-    coco: CocoOptions = COCO_OPTIONS
+    options: MaskOptions = MASK_OPTIONS
 
     def __post_init__(self) -> None:
         check_masks_file(self.masks)
@@ -86,15 +86,15 @@ class MaskSpeedSettings:
             )
         if self.variant is Variant.SOCHOR and self.from_background:
             raise LabelgenError(
-                "variant sochor: detections must say which silhouettes are vehicles; use masks of maskrcnn or "
-                "coco:FILE",
+                "variant sochor: detections must say which silhouettes are vehicles; use masks of maskrcnn, "
+                "coco:FILE or onnx:FILE",
                 parameter="variant",
             )
 
     @property
     def from_background(self) -> bool:
         """Whether the masks are a background model's."""
-        return parse_masks(self.masks)[0] is MaskKind.BACKGROUND
+        return parse_masks(self.masks).kind is MaskKind.BACKGROUND
 
     @property
     def mask_extent(self) -> MaskExtent | None:
@@ -102,7 +102,7 @@ class MaskSpeedSettings:
         if not self.correct_contact_point:
             return None
         # The masks of `sochor` come from a background model, too.
-        shaded = self.from_background or self.variant is Variant.SOCHOR
+        shaded = parse_masks(self.masks).is_shaded or self.variant is Variant.SOCHOR
         return MaskExtent.BODY_AND_SHADE if shaded else MaskExtent.BODY
 
 
@@ -169,10 +169,11 @@ def job_from_masks(scene: Scene, settings: MaskSpeedSettings, *, duration_s: flo
         device=settings.device,
         frame_wh=frames.size_wh,
         clip=Clip.of(frames),
-        coco=settings.coco,
+        camera=scene.camera,
+        options=settings.options,
     )
     check_masks(masks)
-    if settings.variant is Variant.SOCHOR:
+    if settings.variant is Variant.SOCHOR and not parse_masks(settings.masks).is_gated:
         masks = GatedMasks(masks, BackgroundMasks(road_mask=road.pixels))
     source = MaskDetections(masks, MaskPlacer(view, road, settings.pair, settings.rule))
     timed = _timed(scene, masks, duration_s)

@@ -20,7 +20,16 @@ from labelgen.choices import Rule
 from labelgen.datasets.scene import read_mask
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import Sample
-from labelgen.masks import Clip, CocoOptions, InstanceMasks, MaskSource, create_mask_source, masked_frames, prime_masks
+from labelgen.masks import (
+    Clip,
+    InstanceMasks,
+    MaskOptions,
+    MaskSource,
+    create_mask_source,
+    masked_frames,
+    parse_masks,
+    prime_masks,
+)
 from labelgen.media.frames import FrameSource
 from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardDataset, summarise
@@ -119,7 +128,7 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
     """
     sample = data[0]
     frames = open_frames(Path(source["path"]), stream=chosen_stream(source))
-    coco = data.readers[0].settings.get("coco")
+    options = data.readers[0].settings.get(str(parse_masks(source["masks"]).kind))
     mask_source = create_mask_source(
         source["masks"],
         weights=source.get("weights"),
@@ -127,7 +136,8 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
         road_mask=read_mask(Path(source["road_mask"]), image_wh=frames.size_wh),
         frame_wh=frames.size_wh,
         clip=Clip.of(frames),
-        coco=CocoOptions.from_dict(coco),
+        camera=sample.camera,
+        options=MaskOptions.from_dict(options),
     )
     rule = Rule.parse(str(_setting(data, "rule", Rule.WIDER)))
     masks = _masks_of(original, sample.frame, frames, mask_source)

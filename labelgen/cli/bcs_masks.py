@@ -22,9 +22,10 @@ from labelgen.cli.options import (
     ScaleMasksOption,
     SceneSizeOption,
     StreamOption,
+    TilesOption,
     WorkersOption,
     check_report_path,
-    coco_options,
+    mask_options,
     rectified_size,
     reported,
     show_summary,
@@ -44,7 +45,11 @@ def bcs_masks(
     road_mask: RoadMaskOption = None,
     masks: Annotated[
         str,
-        typer.Option("--masks", metavar="SOURCE", help="Where masks come from: maskrcnn, background or coco:FILE."),
+        typer.Option(
+            "--masks",
+            metavar="SOURCE",
+            help="Where masks come from: maskrcnn, background, coco:FILE, onnx:FILE or gated:onnx:FILE.",
+        ),
     ] = "maskrcnn",
     weights: Annotated[
         Path | None, typer.Option("--weights", metavar="FILE", help="Mask R-CNN state dict instead of COCO's weights.")
@@ -52,6 +57,7 @@ def bcs_masks(
     first_frame: FirstFrameOption = None,
     scale_masks: ScaleMasksOption = False,
     classes: ClassesOption = None,
+    tiles: TilesOption = None,
     rule: RuleOption = Rule.WIDER,
     every: Annotated[
         int | None,
@@ -103,9 +109,9 @@ def bcs_masks(
     check_report_path(json_file)
     manifest = load_manifest("brnocompspeed")
     size_wh = rectified_size(size, pair, manifest)
-    coco = coco_options(first_frame, scale_masks, classes)
+    options = mask_options(first_frame, scale_masks, classes, tiles)
     settings = MaskSettings(
-        masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device, coco=coco
+        masks, weights, score, rule, LabelLimits(min_height_px=min_height), device=device, options=options
     )
     # What is wrong with any input is found out before the first one is calibrated.
     scenes = [

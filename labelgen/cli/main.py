@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from labelgen.cli.options import APP_SETTINGS
 from labelgen.cli.printing import say
-from labelgen.errors import LabelgenError
+from labelgen.errors import LabelgenError, NoWeightsError
 from labelgen.printable import hide_passwords, printable
 from labelgen.version import __version__
 
@@ -69,6 +70,8 @@ _WORD_OPTIONS = {
 }
 
 
+# Where a command keeps its arguments as they were given.
+_ARGUMENTS = "labelgen.arguments"
 # Parameters that notes of the library name, and that no other word is like.
 _NAMED_PARAMETERS = re.compile(r"(?<![\w./-])(first_frame|scale_masks)(?![\w./-])")
 
@@ -83,6 +86,7 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         words = zip(["", *args], args, strict=False)
+        ctx.meta[_ARGUMENTS] = tuple(args)
         return super().parse_args(ctx, [arg.strip() if option in _WORD_OPTIONS else arg for option, arg in words])
 
     def invoke(self, ctx: Any) -> Any:
@@ -92,13 +96,24 @@ class _Command(TyperCommand):
             options = {parameter.name: parameter.opts[0] for parameter in self.params}
             parameters = [*err.parameters, *(_OTHER_WAY[name] for name in err.parameters if name in _OTHER_WAY)]
             names = [options.get(name) or options.get(_OPTION_OF.get(name, "")) for name in parameters]
-            raise _OptionError(err, list(dict.fromkeys(name for name in names if name is not None))) from err
+            commands = self._other_commands(ctx, err.other_masks) if isinstance(err, NoWeightsError) else []
+            raise _OptionError(err, list(dict.fromkeys(name for name in names if name is not None)), commands) from err
+
+    def _other_commands(self, ctx: Any, other_masks: Sequence[str]) -> list[str]:
+        """Return the given command with other masks."""
+        name = next(option for option in ("--masks", "--from") if any(option in one.opts for one in self.params))
+        given: list[str] = list(ctx.meta[_ARGUMENTS])
+        while (at := next((i for i, word in enumerate(given) if word.partition("=")[0] == name), None)) is not None:
+            del given[at : at + (1 if "=" in given[at] else 2)]
+        prefix = "masks:" if name == "--from" else ""
+        start = ["labelgen", ctx.info_name, *given]
+        return [printable(shlex.join([*start, name, f"{prefix}{masks}"])) for masks in other_masks]
 
 
 class _OptionError(LabelgenError):
     """An error of the library, with the options that it is about."""
 
-    def __init__(self, err: LabelgenError, options: Sequence[str]) -> None:
+    def __init__(self, err: LabelgenError, options: Sequence[str], commands: Sequence[str] = ()) -> None:
         text = " ".join(str(err).split())
         text = _name_options(text)
         first = err.parameters[0] if err.parameters else ""
@@ -108,7 +123,7 @@ class _OptionError(LabelgenError):
             text = options[0] + text.removeprefix(first)
         if others := [option for option in options if option not in text]:
             text += f" (option{'s' if len(others) > 1 else ''} {', '.join(others)})"
-        super().__init__(text)
+        super().__init__(f"{text}: {'; or: '.join(commands)}" if commands else text)
 
 
 class _Commands(TyperGroup):

@@ -18,7 +18,7 @@ from labelgen.cli.printing import say
 from labelgen.errors import NoVehiclesError, OutputError
 
 if TYPE_CHECKING:
-    from labelgen.masks.coco_options import CocoOptions
+    from labelgen.masks.mask_options import MaskOptions
     from labelgen.shards.index import DatasetSummary
 
 __all__ = [
@@ -39,10 +39,11 @@ __all__ = [
     "ScaleMasksOption",
     "SceneSizeOption",
     "StreamOption",
+    "TilesOption",
     "WorkersOption",
     "check_new_file",
     "check_report_path",
-    "coco_options",
+    "mask_options",
     "picture_suffix",
     "print_table",
     "rectified_size",
@@ -125,7 +126,18 @@ ScaleMasksOption = Annotated[
 ClassesOption = Annotated[
     str | None,
     typer.Option(
-        "--classes", metavar="ID=CLASS,...", help="What a COCO file's categories are, by name or id: 2=car,pickup=car."
+        "--classes",
+        metavar="FILE_OR_MAP",
+        help="What a COCO file's or a network's classes are, by name or number: 2=car,pickup=car; or a file of that.",
+    ),
+]
+TilesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--tiles",
+        metavar="auto|CxR",
+        help="Parts of the frame that a network of masks onnx:FILE sees enlarged: auto, for distant vehicles by the "
+        "calibration; or columns and rows, as 3x2.",
     ),
 ]
 FpsOption = Annotated[
@@ -198,11 +210,14 @@ def rectified_size(size: str | None, pair: Pair, manifest: dict[str, Any]) -> tu
     return parse_size(size or manifest["sizes"][str(pair)])
 
 
-def coco_options(first_frame: int | None, scale_masks: bool, classes: str | None) -> CocoOptions:
-    """Return how a COCO file is to be read."""
-    from labelgen.masks.coco_options import CocoOptions, parse_classes
+def mask_options(
+    first_frame: int | None, scale_masks: bool, classes: str | None, tiles: str | None = None
+) -> MaskOptions:
+    """Return the options of a mask source."""
+    from labelgen.masks.class_names import parse_classes
+    from labelgen.masks.mask_options import MaskOptions
 
-    return CocoOptions(first_frame, scale_masks, None if classes is None else parse_classes(classes))
+    return MaskOptions(first_frame, scale_masks, None if classes is None else parse_classes(classes), tiles)
 
 
 def write_json_report(path: Path | None, data: Any) -> None:

@@ -24,8 +24,9 @@ from labelgen.cli.options import (
     ScaleMasksOption,
     SceneSizeOption,
     StreamOption,
+    TilesOption,
     check_report_path,
-    coco_options,
+    mask_options,
     print_table,
     rectified_size,
     reported,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from detector.speed.pipeline import SpeedSummary
     from detector.speed.results import ResultFiles
     from labelgen.datasets.scene import Scene
-    from labelgen.masks.coco_options import CocoOptions
+    from labelgen.masks.mask_options import MaskOptions
 
 __all__ = ["speed"]
 
@@ -61,7 +62,7 @@ def speed(
             "--from",
             metavar="SOURCE",
             help="Where vehicles come from: masks:background (default), masks:maskrcnn (default of sochor), "
-            "masks:coco:FILE, model:FILE or detections:FILE.",
+            "masks:coco:FILE, masks:onnx:FILE, masks:gated:onnx:FILE, model:FILE or detections:FILE.",
         ),
     ] = None,
     variant: Annotated[
@@ -94,6 +95,7 @@ def speed(
     first_frame: FirstFrameOption = None,
     scale_masks: ScaleMasksOption = False,
     classes: ClassesOption = None,
+    tiles: TilesOption = None,
     device: Annotated[
         str | None, typer.Option("--device", help="Torch device; the GPU when there is one, by default.")
     ] = None,
@@ -132,7 +134,7 @@ def speed(
         if kind == "masks" and argument:
             job = _mask_job(
                 inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
-                weights, device, coco_options(first_frame, scale_masks, classes),
+                weights, device, mask_options(first_frame, scale_masks, classes, tiles),
             )  # fmt: skip
         elif kind == "model" and argument:
             job = _model_job(inputs, Path(argument), variant, pair, size, score, device)
@@ -140,8 +142,8 @@ def speed(
             job = _file_job(inputs, Path(argument), variant, pair, size, render)
         else:
             raise LabelgenError(
-                f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, model:FILE or "
-                "detections:FILE",
+                f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, masks:onnx:FILE, "
+                "model:FILE or detections:FILE",
                 parameter="from_",
             )
     files = ResultFiles.of(out, job.name, str(job.view.variant))
@@ -206,14 +208,14 @@ def _input_name(path: Path) -> str:
 
 def _mask_job(
     inputs: _Inputs, masks: str, variant: Variant, pair: Pair, size: str | None, rule: Rule, near_end: ContactPoint,
-    score: float, weights: Path | None, device: str | None, coco: CocoOptions,
+    score: float, weights: Path | None, device: str | None, options: MaskOptions,
 ) -> SpeedJob:  # fmt: skip
     from detector.speed.job import MaskSpeedSettings, job_from_masks
     from labelgen.datasets.manifest import load_manifest
 
     settings = MaskSpeedSettings(
         masks, variant, pair, rectified_size(size, pair, load_manifest("brnocompspeed")), rule,
-        near_end is ContactPoint.VEHICLE, score, weights, device, coco,
+        near_end is ContactPoint.VEHICLE, score, weights, device, options,
     )  # fmt: skip
     return job_from_masks(inputs.open(), settings, duration_s=inputs.duration_s)
 

@@ -22,11 +22,11 @@ from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
 from labelgen.labels import Sample
 from labelgen.masks import (
-    COCO_OPTIONS,
+    MASK_OPTIONS,
     Clip,
-    CocoOptions,
     InstanceMasks,
     MaskKind,
+    MaskOptions,
     MaskSource,
     check_masks,
     check_masks_file,
@@ -52,13 +52,13 @@ class MaskSettings:
     """The mask source of a job, and how masks become labels.
 
     Args:
-        masks: "maskrcnn", "background" or "coco:FILE".
+        masks: name of a mask source, see `labelgen.masks.parse_masks`.
         weights: state dict for Mask R-CNN; None for the COCO weights.
         score: least score of a mask, in [0, 1].
         rule: how the two candidates become one c_c.
         limits: thresholds for labels.
         device: torch device; None for the GPU where there is one.
-        coco: how a COCO file is to be read.
+        options: of the mask source, where it takes any.
     """
 
     masks: str = "maskrcnn"
@@ -67,27 +67,27 @@ class MaskSettings:
     rule: Rule = Rule.WIDER
     limits: LabelLimits = LABEL_LIMITS
     device: str | None = None
-    coco: CocoOptions = COCO_OPTIONS
+    options: MaskOptions = MASK_OPTIONS
 
     def __post_init__(self) -> None:
         check_masks_file(self.masks)
 
     @property
     def is_made_before(self) -> bool:
-        """Whether the masks come from a file."""
-        return parse_masks(self.masks)[0] is MaskKind.COCO
+        """Whether the masks, or the detections that gate them, come from a file."""
+        return parse_masks(self.masks).kind is MaskKind.COCO
 
     def describe(self) -> dict[str, Any]:
         """Return the settings as entries of the shards' settings."""
-        kind, file = parse_masks(self.masks)
+        name = parse_masks(self.masks)
         return {
-            "masks": str(kind),
-            "masks_sha256": _digest(file) if file else None,
+            "masks": name.label,
+            "masks_sha256": _digest(name.file) if name.file else None,
             "weights_sha256": _digest(self.weights) if self.weights else None,
             "score": self.score,
             "rule": str(self.rule),
             "min_height_px": self.limits.min_height_px,
-            **({"coco": described} if (described := self.coco.describe()) else {}),
+            **({str(name.kind): described} if (described := self.options.describe()) else {}),
         }
 
 
@@ -254,12 +254,12 @@ class VideoUnit:
 
     def whereabouts(self) -> dict[str, str | None]:
         """Return where the originals lie on this machine."""
-        kind, file = parse_masks(self.masks.masks)
+        name = parse_masks(self.masks.masks)
         return {
             "path": str(Path(self.files.frames_path or "").resolve()),
             "calibration": str(self.files.calibration_path.resolve()),
             "road_mask": str(self.files.mask_path.resolve()),
-            "masks": f"{kind}:{file.resolve()}" if file else str(kind),
+            "masks": f"{name.label}:{name.file.resolve()}" if name.file else name.label,
             "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
             **({} if self.files.stream is None else {"stream": str(self.files.stream)}),
         }
@@ -286,7 +286,8 @@ class VideoUnit:
             device=self.masks.device,
             frame_wh=scene.frames.size_wh,
             clip=Clip.of(scene.frames, every=self.every),
-            coco=self.masks.coco,
+            camera=scene.camera,
+            options=self.masks.options,
         )
 
     def _path(self, out: Path, part: int) -> Path:

@@ -1,25 +1,27 @@
-"""Instance masks of vehicles: from Mask R-CNN, from a background model, or from a COCO file."""
+"""Instance masks of vehicles: from a network, from a background model, or from a COCO file."""
 
 from labelgen.masks.clip import Clip
-from labelgen.masks.coco_options import COCO_OPTIONS, CocoOptions
+from labelgen.masks.create import create_mask_source
 from labelgen.masks.instances import InstanceMasks, crop_mask
+from labelgen.masks.mask_options import MASK_OPTIONS, MaskOptions
 from labelgen.masks.source import (
     MaskKind,
+    MaskName,
     MaskSource,
     check_masks,
     check_masks_file,
-    create_mask_source,
     masked_frames,
     parse_masks,
     prime_masks,
 )
 
 __all__ = [
-    "COCO_OPTIONS",
+    "MASK_OPTIONS",
     "Clip",
-    "CocoOptions",
     "InstanceMasks",
     "MaskKind",
+    "MaskName",
+    "MaskOptions",
     "MaskSource",
     "check_masks",
     "check_masks_file",

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from labelgen.errors import DataError, NoVehiclesError
 from labelgen.geometry.frame_size import scale_between, size_text
 from labelgen.masks.clip import Clip
-from labelgen.masks.coco_file import CLASS_BY_COCO_ID, Annotation, CocoFile
+from labelgen.masks.coco_file import Annotation, CocoFile
 from labelgen.masks.coco_frames import EntryMatch, match_files, match_video, unnamed_by_number
-from labelgen.masks.coco_options import CocoOptions
 from labelgen.masks.coco_segmentation import SegmentationError, check_segmentation, decode_segmentation
 from labelgen.masks.instances import InstanceMasks
+from labelgen.masks.mask_options import MASK_OPTIONS, MaskOptions
 from labelgen.problem_counts import ProblemCounts, count_of
 
-__all__ = ["CLASS_BY_COCO_ID", "CocoMasks"]
+__all__ = ["CocoMasks"]
 
 _log = logging.getLogger(__name__)
 
@@ -65,10 +65,10 @@ class CocoMasks:
         score_threshold: float = 0.0,
         frame_wh: tuple[int, int] | None = None,
         clip: Clip | None = None,
-        options: CocoOptions | None = None,
+        options: MaskOptions = MASK_OPTIONS,
     ) -> None:
         self.path = Path(path)
-        self._options = options or CocoOptions()
+        self._options = options
         self._score_threshold = score_threshold
         self._file = CocoFile(self.path, self._options.classes)
         self._clip = clip or Clip(Path())

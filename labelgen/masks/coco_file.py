@@ -19,17 +19,11 @@ from typing import Any
 from labelgen.errors import DataError, NoVehiclesError
 from labelgen.json_file import read_json
 from labelgen.labels import VehicleClass
-from labelgen.masks.coco_options import CLASS_BY_NAME
+from labelgen.masks.class_names import CLASS_BY_COCO_ID, CLASS_WORDS, normal_name, vehicle_class
 from labelgen.problem_counts import ProblemCounts, count_of
 
-__all__ = ["CLASS_BY_COCO_ID", "Annotation", "CocoFile", "ImageEntry", "whole_number"]
+__all__ = ["Annotation", "CocoFile", "ImageEntry", "whole_number"]
 
-CLASS_BY_COCO_ID = {
-    3: VehicleClass.CAR,
-    4: VehicleClass.MOTORCYCLE,
-    6: VehicleClass.BUS,
-    8: VehicleClass.TRUCK,
-}
 # COCO's 80 classes counted from 0, as many networks number them: bicycle, airplane and train by COCO's own ids.
 _COUNTED_FROM_0 = {2: "car", 5: "bus", 7: "truck"}
 _CLASSES_HINT = "2=car,3=motorcycle,5=bus,7=truck for COCO's 80 classes counted from 0"
@@ -124,9 +118,9 @@ class CocoFile:
                 self.problems.add("without an id", partial(_no_id, "category", category), noun="category")
                 continue
             name = str(category.get("name", "")).strip().lower()
-            names = (name, *(str(key).lower() for key in keys))
+            names = tuple(normal_name(text) for text in (name, *map(str, keys)))
             unknown.difference_update(names)
-            chosen = next((given[n] for n in names if n in given), CLASS_BY_NAME.get(name))
+            chosen = next((given[n] for n in names if n in given), vehicle_class(name))
             if chosen is None:
                 others.update(dict.fromkeys(keys, name or f"id {keys[0]}"))
             else:
@@ -147,7 +141,7 @@ class CocoFile:
             other_names = ", ".join(sorted(set(others.values()))[:10]) or "none"
             raise NoVehiclesError(
                 f"{self.path}: none of its categories is a vehicle (found {other_names}); name them "
-                f"{', '.join(CLASS_BY_NAME)}, or say which are vehicles, as {_example_class(others)}=car",
+                f"{', '.join(CLASS_WORDS)}, or say which are vehicles, as {_example_class(others)}=car",
                 parameter="classes",
             )
         return classes, others

@@ -21,8 +21,8 @@ from torchvision.models.detection import (
 )
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
 
-from labelgen.errors import DataError, LabelgenError
-from labelgen.masks.coco import CLASS_BY_COCO_ID
+from labelgen.errors import DataError, NoWeightsError
+from labelgen.masks.class_names import CLASS_BY_COCO_ID
 from labelgen.masks.instances import Crop, InstanceMasks, crop_mask
 from labelgen.torch_device import choose_device
 from labelgen.torch_file import first_not_finite, load_torch_file
@@ -31,7 +31,8 @@ __all__ = ["MaskRcnnMasks"]
 
 _MASK_THRESHOLD = 0.5
 _COCO_CLASSES = 91
-_ALTERNATIVES = "give a state dict as weights, or use masks background or coco:FILE"
+# The example is what Ultralytics' own export writes.
+_OTHER_MASKS = ("onnx:yolo11n-seg.onnx", "background")
 # The region proposal head has two convolutions in the second version only.
 _V2_KEY = "rpn.head.conv.1.0.weight"
 
@@ -148,8 +149,10 @@ def _download() -> dict[str, Any]:
     try:
         state: dict[str, Any] = weights.get_state_dict(progress=False, check_hash=True, weights_only=True)
     except (OSError, RuntimeError, pickle.UnpicklingError) as error:
-        raise LabelgenError(
-            f"Mask R-CNN's COCO weights cannot be downloaded ({_first_line(error)}); {_ALTERNATIVES}",
+        raise NoWeightsError(
+            f"Mask R-CNN's COCO weights cannot be downloaded ({_first_line(error)}); give a state dict as weights, or "
+            f"use masks of a network of yours in an ONNX file, or of a background model ({', '.join(_OTHER_MASKS)})",
+            other_masks=_OTHER_MASKS,
             parameter="weights",
         ) from None
     return state

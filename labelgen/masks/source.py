@@ -1,4 +1,4 @@
-"""The interface of mask sources, how to create one by name, and how to run one along a video."""
+"""The interface of mask sources, their names, and how to run one along a video."""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError, NoVehiclesError
-from labelgen.masks.clip import Clip
-from labelgen.masks.coco_options import CocoOptions
 from labelgen.masks.instances import InstanceMasks
 from labelgen.media.frames import Frame, FrameSource
 
 __all__ = [
     "MaskKind",
+    "MaskName",
     "MaskSource",
     "check_masks",
     "check_masks_file",
-    "create_mask_source",
     "masked_frames",
     "parse_masks",
     "prime_masks",
@@ -30,6 +28,7 @@ __all__ = [
 
 # Frames apart from which a source is primed: neighbouring frames of traffic are too alike.
 _PRIME_STRIDE = 10
+_GATED = "gated"
 
 
 class MaskKind(StrEnum):
@@ -38,11 +37,42 @@ class MaskKind(StrEnum):
     MASKRCNN: instance segmentation by a network, `labelgen.masks.maskrcnn`.
     BACKGROUND: background subtraction, `labelgen.masks.background.source`.
     COCO: masks made before, read from a COCO JSON file, `labelgen.masks.coco`.
+    ONNX: instance segmentation by a network of the user's, an ONNX file, `labelgen.masks.onnx`.
     """
 
     MASKRCNN = "maskrcnn"
     BACKGROUND = "background"
     COCO = "coco"
+    ONNX = "onnx"
+
+    @property
+    def takes_file(self) -> bool:
+        """Whether the name of the source goes with a file."""
+        return self in (MaskKind.COCO, MaskKind.ONNX)
+
+
+class MaskName(NamedTuple):
+    """The name of a mask source, parsed.
+
+    Attributes:
+        kind: of the source; of the detections, where they gate a background model.
+        file: masks or network; None for the other kinds.
+        is_gated: whether the outlines come from a background model, see `labelgen.masks.gated`.
+    """
+
+    kind: MaskKind
+    file: Path | None = None
+    is_gated: bool = False
+
+    @property
+    def label(self) -> str:
+        """The name without the file."""
+        return f"{_GATED}:{self.kind}" if self.is_gated else str(self.kind)
+
+    @property
+    def is_shaded(self) -> bool:
+        """Whether masks include the shade under the vehicle, as a background model's do."""
+        return self.is_gated or self.kind is MaskKind.BACKGROUND
 
 
 class MaskSource(Protocol):
@@ -103,85 +133,40 @@ class MaskSource(Protocol):
         ...
 
 
-def parse_masks(masks: str) -> tuple[MaskKind, Path | None]:
+def parse_masks(masks: str) -> MaskName:
     """Parse the name of a mask source.
 
     Args:
-        masks: "maskrcnn", "background" or "coco:FILE".
-
-    Returns:
-        The kind, and the COCO file of `MaskKind.COCO`; None for the other kinds.
+        masks: "maskrcnn", "background", "coco:FILE" or "onnx:FILE"; "gated:" before any of them but background.
 
     Raises:
         LabelgenError: unknown name.
     """
-    name, _, file = masks.strip().partition(":")
-    # Only masks made before have a file.
-    if name in set(MaskKind) and (name == MaskKind.COCO) == bool(file):
-        return MaskKind(name), Path(file) if file else None
+    outer, separator, inner = masks.strip().partition(":")
+    is_gated = outer == _GATED and bool(separator)
+    name, _, file = inner.partition(":") if is_gated else (outer, separator, inner)
+    if name in set(MaskKind) and MaskKind(name).takes_file == bool(file):
+        kind = MaskKind(name)
+        if not (is_gated and kind is MaskKind.BACKGROUND):
+            return MaskName(kind, Path(file) if file else None, is_gated)
     raise LabelgenError(
-        f"masks {masks}: unknown mask source; use one of maskrcnn, background, coco:FILE", parameter="masks"
+        f"masks {masks}: unknown mask source; use one of maskrcnn, background, coco:FILE, onnx:FILE, gated:maskrcnn, "
+        "gated:coco:FILE, gated:onnx:FILE",
+        parameter="masks",
     )
 
 
-def create_mask_source(
-    masks: str,
-    *,
-    weights: str | Path | None = None,
-    score_threshold: float = 0.5,
-    road_mask: NDArray[Any] | None = None,
-    device: str | None = None,
-    frame_wh: tuple[int, int] | None = None,
-    clip: Clip | None = None,
-    coco: CocoOptions | None = None,
-) -> MaskSource:
-    """Create a mask source by name.
-
-    Args:
-        masks: "maskrcnn", "background" or "coco:FILE".
-        weights: state dict that replaces torchvision's COCO weights; maskrcnn only.
-        score_threshold: masks with a lower score are left out.
-        road_mask: (H, W), not 0 on the road, on which vehicles must stand; used by background only.
-        device: torch device such as "cuda:1", by default a GPU if there is one; used by maskrcnn only.
-        frame_wh: size of the frames, px; coco checks all masks against it at once.
-        clip: the frames that the masks are asked for; coco tells by it which of its images are these.
-        coco: how the COCO file is to be read; coco only.
-
-    Raises:
-        LabelgenError: unknown name, or weights or COCO options for a source that takes none.
-        DataError: weights or masks that cannot be used.
-    """
-    kind, file = parse_masks(masks)
-    if weights is not None and kind is not MaskKind.MASKRCNN:
-        raise LabelgenError(f"weights: only the mask source maskrcnn takes weights, not {masks}", parameter="weights")
-    if file is not None:
-        from labelgen.masks.coco import CocoMasks
-
-        return CocoMasks(file, score_threshold=score_threshold, frame_wh=frame_wh, clip=clip, options=coco)
-    if coco is not None and (given := coco.describe()):
-        names = tuple(given)
-        raise LabelgenError(
-            f"{' and '.join(names)}: only masks coco:FILE takes that, not masks {masks}", parameter=names
-        )
-    if kind is MaskKind.BACKGROUND:
-        from labelgen.masks.background.source import BackgroundMasks
-
-        return BackgroundMasks(road_mask=road_mask, score_threshold=score_threshold)
-    from labelgen.masks.maskrcnn import MaskRcnnMasks
-
-    return MaskRcnnMasks(weights=weights, score_threshold=score_threshold, device=device)
-
-
 def check_masks_file(masks: str) -> None:
-    """Refuse ready-made masks whose file is missing, before anything is opened.
+    """Refuse masks whose file, of masks or of a network, is missing, before anything is opened.
 
     Raises:
         LabelgenError: unknown name of a mask source.
         DataError: no such file.
     """
-    _, file = parse_masks(masks)
-    if file is not None and not file.is_file():
-        raise DataError(f"{file}: no such file; masks coco:FILE needs a COCO JSON file", parameter="masks")
+    name = parse_masks(masks)
+    if name.file is not None and not name.file.is_file():
+        what = "a COCO JSON file" if name.kind is MaskKind.COCO else "a network for instance segmentation"
+        raise DataError(f"{name.file}: no such file; masks {name.kind}:FILE needs {what}", parameter="masks")
 
 
 def check_masks(source: MaskSource) -> None:

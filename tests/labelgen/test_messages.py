@@ -52,7 +52,8 @@ def test_no_message_of_the_library_names_an_option() -> None:
         (("bcs-masks", "none.mp4", "--masks", "foo"), "--masks foo: unknown mask source"),
         (
             ("speed", "none.mp4", "--out", "out", "--from", "masks:foo"),
-            "masks foo: unknown mask source; use one of maskrcnn, background, coco:FILE (option --from)",
+            "masks foo: unknown mask source; use one of maskrcnn, background, coco:FILE, onnx:FILE, gated:maskrcnn, "
+            "gated:coco:FILE, gated:onnx:FILE (option --from)",
         ),
         (
             ("synth", "session", "--out", "out", "--replay"),

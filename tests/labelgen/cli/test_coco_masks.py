@@ -94,7 +94,7 @@ def test_the_other_videos_entries_are_left_out(labelgen, clip: Path, tmp_path: P
         ({"category_id": 1}, [], "60 annotations of other categories (60 id 1) left out"),
         ({"segmentation": None}, [], "60 annotations skipped: it has no segmentation, such as annotation 1"),
         ({"size": (1280, 720)}, [], "60 masks made for frames of 1280x720 px, but the frames are 640x360"),
-        ({"names": "suv"}, [], "none of its categories is a vehicle (found suv); name them car"),
+        ({"names": "gizmo"}, [], "none of its categories is a vehicle (found gizmo); name them car"),
         ({"category_id": 0}, [], "its class ids begin with 0, which COCO's do not; say what they mean"),
     ],
 )

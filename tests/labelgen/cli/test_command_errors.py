@@ -200,7 +200,11 @@ def test_weights_that_cannot_be_downloaded(labelgen, clip: Path, tmp_path: Path)
     """A proxy that refuses stands for a machine without a connection."""
     proxies = dict.fromkeys(("http_proxy", "https_proxy", "HTTPS_PROXY", "HTTP_PROXY"), "http://127.0.0.1:9")
     done = labelgen("bcs-masks", clip, "--out", "out", TORCH_HOME=str(tmp_path / "torch"), **proxies)
-    _refused(done, "as weights", "masks background", "coco:FILE")
+    command = f"labelgen bcs-masks {clip} --out out --masks"
+    _refused(done, "as weights", f": {command} onnx:yolo11n-seg.onnx; or: {command} background")
+    given = ("speed", clip, "--out", "out", "--from=masks:maskrcnn")
+    done = labelgen(*given, TORCH_HOME=str(tmp_path / "torch"), **proxies)
+    _refused(done, f"; or: labelgen speed {clip} --out out --from masks:background")
     assert not (tmp_path / "out").exists()
 
 

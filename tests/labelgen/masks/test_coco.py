@@ -15,8 +15,8 @@ from pycocotools import mask as coco
 
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import VehicleClass
-from labelgen.masks import Clip, CocoOptions, InstanceMasks, check_masks, create_mask_source
-from labelgen.masks.coco_options import parse_classes
+from labelgen.masks import Clip, InstanceMasks, MaskOptions, check_masks, create_mask_source
+from labelgen.masks.class_names import parse_classes
 from labelgen.masks.coco_segmentation import check_segmentation, decode_segmentation
 
 WH = (64, 48)
@@ -338,7 +338,7 @@ def test_masks_of_another_size_are_scaled_where_that_is_allowed(tmp_path: Path, 
         "annotations": [annotation(k, 1, encoded[form], 3) for k in range(5)],
     }
     path = write(tmp_path / "m.json", data)
-    scaled = create_mask_source(path, frame_wh=WH, coco=CocoOptions(scale_masks=True))
+    scaled = create_mask_source(path, frame_wh=WH, options=MaskOptions(scale_masks=True))
     assert masks_of(scaled, 0).boxes_xyxy.tolist() == [box] * 5
     assert scaled.problems == []
     # One line, whatever form the masks have.
@@ -356,7 +356,7 @@ def test_masks_of_another_ratio_are_never_scaled(tmp_path: Path) -> None:
         "annotations": [annotation(1, 1, polygon(1, 1, 9, 9), 3)],
     }
     source = create_mask_source(
-        write(tmp_path / "m.json", data), clip=Clip(Path("v.mp4"), WH, 1), coco=CocoOptions(scale_masks=True)
+        write(tmp_path / "m.json", data), clip=Clip(Path("v.mp4"), WH, 1), options=MaskOptions(scale_masks=True)
     )
     assert len(masks_of(source, 0)) == 0
     assert "another ratio, so they cannot be scaled" in source.problems[0]
@@ -392,7 +392,7 @@ def test_class_ids_from_0_without_categories_need_their_meaning(tmp_path: Path) 
     with pytest.raises(DataError, match=r"class ids begin with 0, .* say what they mean, as 2=car") as caught:
         create_mask_source(path)
     assert caught.value.parameters == ("classes",)
-    source = create_mask_source(path, coco=CocoOptions(classes=parse_classes("2=car")))
+    source = create_mask_source(path, options=MaskOptions(classes=parse_classes("2=car")))
     assert masks_of(source, 0).class_ids.tolist() == [VehicleClass.CAR]
     assert source.problems == ["r.json: 1 annotation of other categories (1 id 0) left out"]
 
@@ -409,10 +409,10 @@ def test_classes_name_other_categories(tmp_path: Path) -> None:
         "annotations": [annotation(k, 1, SQUARE, c) for k, c in enumerate([1, 2, 5])],
     }
     path = write(tmp_path / "m.json", data)
-    source = create_mask_source(path, coco=CocoOptions(classes=parse_classes("suv=car, 5=bus")))
+    source = create_mask_source(path, options=MaskOptions(classes=parse_classes("suv=car, 5=bus")))
     assert masks_of(source, 0).class_ids.tolist() == [VehicleClass.CAR, VehicleClass.CAR, VehicleClass.BUS]
     with pytest.raises(DataError, match="it has no category jeep"):
-        create_mask_source(path, coco=CocoOptions(classes=parse_classes("jeep=car")))
+        create_mask_source(path, options=MaskOptions(classes=parse_classes("jeep=car")))
 
 
 @pytest.mark.parametrize("text", ["", "car", "2=", "=car", "2=boat", "2=car,,3=bus"])
@@ -423,18 +423,18 @@ def test_classes_of_another_form_are_refused(text: str) -> None:
 
 
 def test_options_of_a_file_are_for_coco_only() -> None:
-    with pytest.raises(LabelgenError, match="only masks coco:FILE takes that") as caught:
-        create_mask_source("background", coco=CocoOptions(first_frame=1))
+    with pytest.raises(LabelgenError, match="only masks coco:FILE take that, not masks background") as caught:
+        create_mask_source("background", options=MaskOptions(first_frame=1))
     assert caught.value.parameters == ("first_frame",)
 
 
 def test_options_survive_being_written() -> None:
-    options = CocoOptions(1, True, parse_classes("2=car,suv=bus"))
-    assert CocoOptions.from_dict(json.loads(json.dumps(options.describe()))) == options
-    assert CocoOptions.from_dict(CocoOptions().describe()) == CocoOptions()
-    assert CocoOptions().describe() == {}
+    options = MaskOptions(1, True, parse_classes("2=car,suv=bus"))
+    assert MaskOptions.from_dict(json.loads(json.dumps(options.describe()))) == options
+    assert MaskOptions.from_dict(MaskOptions().describe()) == MaskOptions()
+    assert MaskOptions().describe() == {}
     with pytest.raises(DataError, match="not as they were written"):
-        CocoOptions.from_dict({"classes": {"a": 77}})
+        MaskOptions.from_dict({"classes": {"a": 77}})
 
 
 def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:

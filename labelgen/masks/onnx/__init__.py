@@ -1,0 +1,1 @@
+"""Masks from a network in an ONNX file, whatever tool exported it."""
