@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from labelgen.errors import LabelgenError
 from labelgen.geometry import decode_boxes, front_bottom_midpoints
-from labelgen.geometry.boxes import iou_matrix
+from labelgen.geometry.boxes import covered_share, iou_matrix
 from labelgen.geometry.homography import Array
-from labelgen.labels import Flag, Labels, Sample
+from labelgen.labels import MIN_IGNORED_SHARE, Flag, Labels, Sample
 
 __all__ = ["average_precision", "evaluate_detections", "match_boxes"]
 
 
 def average_precision(
-    truth_xyxy: Sequence[Array], ignored: Sequence[NDArray[np.bool_]], detections: Sequence[Labels]
+    truth_xyxy: Sequence[Array],
+    ignored: Sequence[NDArray[np.bool_]],
+    detections: Sequence[Labels],
+    ignored_xyxy: Sequence[Array] | None = None,
 ) -> dict[str, float]:
     """Compute AP over IoU 0.5 to 0.95, AP50 and AP75 as COCO does, over all box sizes.
 
@@ -29,6 +32,8 @@ def average_precision(
         truth_xyxy: boxes (L, 4) px per image.
         ignored: (L,) per image, labels that need not be detected and cost nothing when they are.
         detections: per image, with scores.
+        ignored_xyxy: ignored boxes (K, 4) px per image; a detection without a label counts neither way where one of
+            them covers `MIN_IGNORED_SHARE` of it. None for none.
 
     Returns:
         "ap", "ap50", "ap75" in [0, 1]; NaN without labels.
@@ -36,15 +41,18 @@ def average_precision(
     Source: pycocotools; at most 300 detections per image.
     """
     from pycocotools.coco import COCO
-    from pycocotools.cocoeval import COCOeval
+
+    from detector.coco_scorer import RegionScorer
 
     annotations: list[dict[str, Any]] = []
-    for image, (boxes, skip) in enumerate(zip(truth_xyxy, ignored, strict=True)):
-        for box, crowd in zip(_xywh(boxes), skip.tolist(), strict=True):
+    regions = [np.empty((0, 4))] * len(truth_xyxy) if ignored_xyxy is None else ignored_xyxy
+    for image, (boxes, skip, around) in enumerate(zip(truth_xyxy, ignored, regions, strict=True)):
+        marks = [*((crowd, False) for crowd in skip.tolist()), *((True, True) for _ in around)]
+        for box, (crowd, region) in zip([*_xywh(boxes), *_xywh(around)], marks, strict=True):
             annotations.append(
                 {
                     "id": len(annotations) + 1, "image_id": image, "category_id": 1, "bbox": box,
-                    "area": box[2] * box[3], "iscrowd": int(crowd),
+                    "area": box[2] * box[3], "iscrowd": int(crowd), RegionScorer.KEY: region,
                 }
             )  # fmt: skip
     if not any(not annotation["iscrowd"] for annotation in annotations):
@@ -64,7 +72,7 @@ def average_precision(
             "categories": [{"id": 1, "name": "vehicle"}],
         }
         coco.createIndex()
-        scorer = COCOeval(coco, coco.loadRes(results), "bbox")
+        scorer = RegionScorer(coco, coco.loadRes(results), "bbox")
         scorer.params.maxDets = [1, 10, 300]
         scorer.evaluate()
         scorer.accumulate()
@@ -111,7 +119,9 @@ class _Tally:
 
     Args:
         truth_xyxy, truncated, detections: labels' boxes, which of them are truncated, and all detections.
+        ignored_xyxy: ignored boxes.
         labels, strong, matched: numbers of labels, of detections above the score, and of matched ones among these.
+        in_ignored: number of unmatched ones among these that lie in ignored boxes; they are not among the strong.
         valid: which detections above the score have a valid 3D box.
         cc, px, m: errors of matched pairs: c_c, ground point in frame px and in metres.
     """
@@ -119,9 +129,11 @@ class _Tally:
     truth_xyxy: list[Array] = field(default_factory=list)
     truncated: list[NDArray[np.bool_]] = field(default_factory=list)
     detections: list[Labels] = field(default_factory=list)
+    ignored_xyxy: list[Array] = field(default_factory=list)
     labels: int = 0
     strong: int = 0
     matched: int = 0
+    in_ignored: int = 0
     valid: list[NDArray[np.bool_]] = field(default_factory=list)
     cc: list[Array] = field(default_factory=list)
     px: list[Array] = field(default_factory=list)
@@ -134,8 +146,13 @@ class _Tally:
         self.truth_xyxy.append(labels.boxes_xyxy)
         self.truncated.append(truncated)
         self.detections.append(detections)
+        self.ignored_xyxy.append(sample.ignored.boxes_xyxy)
         strong = detections[detections.scores >= np.float64(score)]
         matches = match_boxes(labels.boxes_xyxy, strong.boxes_xyxy, strong.scores)
+        share = covered_share(strong.boxes_xyxy, sample.ignored.boxes_xyxy).max(axis=1, initial=0)
+        counts = (matches >= 0) | (share < MIN_IGNORED_SHARE)
+        self.in_ignored += int(np.count_nonzero(~counts))
+        strong, matches = strong[counts], matches[counts]
         self.labels += len(labels)
         self.strong += len(strong)
         self.matched += int(np.count_nonzero(matches >= 0))
@@ -172,7 +189,7 @@ def evaluate_detections(
 
     Average precision counts all detections. The other figures count those of at least `score` that match a label with
     IoU 0.5. Errors of c_c and of the ground point are those of labels that are not truncated and lie in rectified
-    pictures.
+    pictures. Detections that match no label and lie in an ignored box count nowhere.
 
     Args:
         pairs: samples with the detections in their image.
@@ -180,8 +197,9 @@ def evaluate_detections(
         min_height_px: labels lower than this were never made, so lower detections are left out.
 
     Returns:
-        plain values: counts, "ap", "ap50", "ap75" and the same without truncated labels ("_whole"), "recall",
-        "precision", "invalid_share" (detections without a valid 3D box), and "cc_error", "ground_px", "ground_m",
+        plain values: counts ("detections_ignored" are those in ignored boxes), "ap", "ap50", "ap75" and the same
+        without truncated labels ("_whole"), "recall", "precision", "invalid_share" (detections without a valid 3D
+        box), and "cc_error", "ground_px", "ground_m",
         each with "n", "median", "mean", "p95". None where there is nothing to measure.
 
     Raises:
@@ -193,17 +211,19 @@ def evaluate_detections(
         tally.add(sample, labels[heights >= min_height_px], score)
     if not tally.truth_xyxy:
         raise LabelgenError("no samples to evaluate")
-    whole = average_precision(tally.truth_xyxy, tally.truncated, tally.detections)
+    whole = average_precision(tally.truth_xyxy, tally.truncated, tally.detections, tally.ignored_xyxy)
     nothing_ignored = [np.zeros_like(t) for t in tally.truncated]
     return {
         "images": len(tally.truth_xyxy),
         "labels": tally.labels,
         "truncated_labels": int(sum(np.count_nonzero(t) for t in tally.truncated)),
-        **average_precision(tally.truth_xyxy, nothing_ignored, tally.detections),
+        "ignored_boxes": sum(map(len, tally.ignored_xyxy)),
+        **average_precision(tally.truth_xyxy, nothing_ignored, tally.detections, tally.ignored_xyxy),
         **{f"{key}_whole": value for key, value in whole.items()},
         "score": score,
         "min_height_px": min_height_px,
         "detections": tally.strong,
+        "detections_ignored": tally.in_ignored,
         "recall": _ratio(tally.matched, tally.labels),
         "precision": _ratio(tally.matched, tally.strong),
         "invalid_share": _ratio(sum(int(np.count_nonzero(~v)) for v in tally.valid), sum(map(len, tally.valid))),

@@ -22,7 +22,7 @@ from labelgen.geometry.homography import Array
 from labelgen.geometry.rectification import Rectification
 from labelgen.media.image_file import decode_image
 
-__all__ = ["Flag", "IgnoreReason", "IgnoredBoxes", "Labels", "Sample", "Split", "VehicleClass"]
+__all__ = ["MIN_IGNORED_SHARE", "Flag", "IgnoreReason", "IgnoredBoxes", "Labels", "Sample", "Split", "VehicleClass"]
 
 
 class VehicleClass(IntEnum):
@@ -242,6 +242,9 @@ def _wrong_values(arrays: dict[str, NDArray[Any]]) -> list[str]:
     return problems
 
 
+MIN_IGNORED_SHARE = 0.5
+"""Least share of its area in an ignored box from which an anchor or a detection counts neither way, as COCO's lowest
+threshold for detections in crowds."""
 _NO_BOXES = "boxes_xyxy: expected finite x0 < x1 and y0 < y1"
 
 
@@ -253,7 +256,8 @@ def _are_boxes(boxes: NDArray[Any]) -> bool:
 class IgnoredBoxes:
     """Boxes of one image that hold a vehicle without a label, as a structure of arrays of equal length K.
 
-    A detector learns neither from them nor is it judged there: they are neither vehicle nor background.
+    A detector neither learns from them nor is judged there: what lies in one by `MIN_IGNORED_SHARE` of its area counts
+    neither as a vehicle nor as background.
 
     Args:
         boxes_xyxy: (K, 4) float64, rectified px, x0 < x1 and y0 < y1.

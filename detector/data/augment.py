@@ -9,14 +9,14 @@ Source: Kocur & Ftacnik 2020, section 3.4 (ranges).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.geometry.homography import Array
-from labelgen.labels import Flag, Labels
+from labelgen.labels import Flag, IgnoredBoxes, Labels
 
 __all__ = [
     "AugmentationRanges",
@@ -93,17 +93,24 @@ class TrainingTarget:
         boxes_xyxy: (N, 4) px.
         cc: (N,) in [0, 1]; 0 where not known.
         cc_known: (N,) bool, whether c_c is learnt.
+        ignored_xyxy: (K, 4) px, boxes that are learnt from neither as vehicles nor as background.
     """
 
     boxes_xyxy: Array
     cc: Array
     cc_known: NDArray[np.bool_]
+    ignored_xyxy: Array = field(default_factory=lambda: np.empty((0, 4)))
 
     @classmethod
-    def from_labels(cls, labels: Labels) -> TrainingTarget:
+    def from_labels(cls, labels: Labels, ignored: IgnoredBoxes | None = None) -> TrainingTarget:
         """Take over boxes and c_c; c_c is not known for flat labels, and for truncated ones, whose box is cut."""
         known = ~labels.has(Flag.TRUNCATED) & ~labels.has(Flag.FLAT)
-        return cls(labels.boxes_xyxy, np.where(known, labels.cc, 0.0), known)
+        ignored = IgnoredBoxes.empty() if ignored is None else ignored
+        return cls(labels.boxes_xyxy, np.where(known, labels.cc, 0.0), known, ignored.boxes_xyxy)
+
+    def moved(self, move: AxisAlignedAffine) -> TrainingTarget:
+        """Map all boxes to the new image."""
+        return replace(self, boxes_xyxy=move.boxes(self.boxes_xyxy), ignored_xyxy=move.boxes(self.ignored_xyxy))
 
 
 def sample_affine(
@@ -141,25 +148,27 @@ def sample_affine(
 def clip_to_image(
     target: TrainingTarget, size_wh: tuple[int, int], *, min_share: float = 0.25, min_side: float = 4.0
 ) -> TrainingTarget:
-    """Clip boxes to the image and leave out those of which too little remains.
+    """Clip boxes to the image; those of which too little remains are ignored.
 
     Args:
         target: boxes may lie outside the image.
         size_wh: of the image, px.
-        min_share: smallest share of a box's area that must remain; less keeps vehicles nobody could recognise, more
-            leaves visible ones unlabelled.
+        min_share: smallest share of a label's area that must remain; less keeps vehicles nobody could recognise, more
+            ignores visible ones.
         min_side: shortest side px that must remain.
     """
     boxes = target.boxes_xyxy
     size = np.array([*size_wh, *size_wh], dtype=np.float64)
-    clipped = np.clip(boxes, 0, size)
+    clipped, ignored = np.clip(boxes, 0, size), np.clip(target.ignored_xyxy, 0, size)
     sides, full_sides = clipped[:, 2:] - clipped[:, :2], boxes[:, 2:] - boxes[:, :2]
     keep = (sides >= min_side).all(axis=1) & (sides.prod(axis=1) >= min_share * full_sides.prod(axis=1))
     line = boxes[:, 1] + target.cc * full_sides[:, 1]
     known = target.cc_known & (line >= clipped[:, 1]) & (line <= clipped[:, 3])
     with np.errstate(divide="ignore", invalid="ignore"):
         cc = np.where(known, (line - clipped[:, 1]) / sides[:, 1], 0.0)
-    return TrainingTarget(clipped[keep], np.clip(cc[keep], 0, 1), known[keep])
+    ignored = np.concatenate([ignored, clipped[~keep]])
+    ignored = ignored[(ignored[:, :2] < ignored[:, 2:]).all(axis=1)]
+    return TrainingTarget(clipped[keep], np.clip(cc[keep], 0, 1), known[keep], ignored)
 
 
 def jitter_color(rng: np.random.Generator, image: NDArray[np.uint8], strength: float) -> NDArray[np.uint8]:

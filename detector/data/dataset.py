@@ -7,7 +7,7 @@ after any number of interruptions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from detector.model.vehicle_size import scene_vector, transform_scene
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
 from labelgen.geometry.homography import Array
-from labelgen.labels import Labels, Sample
+from labelgen.labels import IgnoredBoxes, Labels, Sample
 from labelgen.media.image_file import decode_image
 from labelgen.shards import ShardDataset, ShardReader
 
@@ -53,7 +53,7 @@ class Batch:
     Args:
         images: (N, 3, H, W) uint8 RGB.
         targets: per image `boxes` (L, 4) float32 px, `labels` (L,) int64 zeros, `cc` (L,) float32, `cc_known` (L,)
-            bool, `scene` (4,) float32, see `detector.model.vehicle_size.scene_vector`.
+            bool, `ignored` (K, 4) float32 px, `scene` (4,) float32, see `detector.model.vehicle_size.scene_vector`.
         indices: (N,) numbers of the samples.
     """
 
@@ -199,6 +199,7 @@ def to_tensors(image: NDArray[np.uint8], target: TrainingTarget, scene: Array) -
         "labels": torch.zeros(len(target.cc), dtype=torch.int64),
         "cc": torch.from_numpy(target.cc.astype(np.float32)),
         "cc_known": torch.from_numpy(target.cc_known),
+        "ignored": torch.from_numpy(target.ignored_xyxy.astype(np.float32)).reshape(-1, 4),
         "scene": torch.from_numpy(scene.astype(np.float32)),
     }
 
@@ -215,6 +216,8 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         whole: augmentation of whole pictures.
         crops: augmentation of crops.
         seed: of order and augmentation.
+        ignore_boxes: whether the shards' ignored boxes, and labels that the border cuts off, are left out of the loss;
+            else they are background.
     """
 
     def __init__(
@@ -224,9 +227,11 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         whole: AugmentationRanges,
         crops: AugmentationRanges,
         seed: int,
+        *,
+        ignore_boxes: bool = True,
     ) -> None:
         self._sources, self._size_wh, self._seed = list(sources), size_wh, seed
-        self._whole, self._crops = whole, crops
+        self._whole, self._crops, self._ignore_boxes = whole, crops, ignore_boxes
         self._pass_length = sum(len(source.shards) for source in sources)
         weights = np.array([source.weight for source in sources])
         ends = np.round(np.cumsum(weights / weights.sum()) * self._pass_length).astype(np.int64)
@@ -272,10 +277,17 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         if reader.path not in self._scenes:
             self._scenes[reader.path] = _scenes(reader)
         scene = self._scenes[reader.path][row]
-        return (*to_tensors(*self.augment(image, reader.labels(row), scene, source.crops, rng)), number)
+        parts = self.augment(image, reader.labels(row), scene, source.crops, rng, reader.ignored(row))
+        return (*to_tensors(*parts), number)
 
     def augment(
-        self, image: NDArray[np.uint8], labels: Labels, scene: Array, crops: bool, rng: np.random.Generator
+        self,
+        image: NDArray[np.uint8],
+        labels: Labels,
+        scene: Array,
+        crops: bool,
+        rng: np.random.Generator,
+        ignored: IgnoredBoxes | None = None,
     ) -> tuple[NDArray[np.uint8], TrainingTarget, Array]:
         """Augment one picture with its labels.
 
@@ -285,14 +297,16 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
             scene: (4,) of `detector.model.vehicle_size.scene_vector`.
             crops: whether the picture is a crop of a single vehicle.
             rng: random numbers.
+            ignored: boxes of vehicles without a label; None for none.
 
         Returns:
             picture (H, W, 3) uint8 BGR of the training's size, what is learnt from it, and its scene (4,).
         """
         ranges = self._crops if crops else self._whole
         move = sample_affine(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
-        target = TrainingTarget.from_labels(labels)
-        moved = clip_to_image(TrainingTarget(move.boxes(target.boxes_xyxy), target.cc, target.cc_known), self._size_wh)
+        moved = clip_to_image(TrainingTarget.from_labels(labels, ignored).moved(move), self._size_wh)
+        if not self._ignore_boxes:
+            moved = replace(moved, ignored_xyxy=np.empty((0, 4)))
         out = move.warp_image(image, self._size_wh)
         scene = transform_scene(scene, move.scale_xy[1], move.shift_xy[1])
         return jitter_color(rng, out, ranges.light) if ranges.light else out, moved, scene
@@ -324,7 +338,8 @@ class ValidationSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         sample = self.shards[index]
         rectification = sample.rectification
         scene = scene_vector(rectification.matrix, rectification.vpu, rectification.pair, sample.camera)
-        return (*to_tensors(sample.image, TrainingTarget.from_labels(sample.labels), scene), index)
+        target = TrainingTarget.from_labels(sample.labels, sample.ignored)
+        return (*to_tensors(sample.image, target, scene), index)
 
 
 def collate(items: Sequence[tuple[Tensor, dict[str, Tensor], int]]) -> Batch:

@@ -7,7 +7,8 @@ The loss of a batch with N positive anchors (at least 1) is
 L_conf is the focal loss (alpha 0.25, gamma 2) over all positive and negative anchors. L_loc and L_c are the smooth L1
 losses (published: beta 1/9) of the box and of c_c over the positive anchors. L_s is the same for the vehicle's height
 and length, in models that predict them; the published ones do not. A label whose c_c is not known (`cc_known` False)
-is left out of L_c and L_s.
+is left out of L_c and L_s. An anchor that is not positive, and half of which one of the `ignored` boxes covers, is left
+out of L_conf: a vehicle without a label is there. COCO counts detections in crowds by the same share of their area.
 
 Convention: images are (3, H, W) RGB in [0, 1], boxes x0, y0, x1, y1 in their px; images are never resized. Anchors,
 boxes, scores and values are float32 in any precision of the network: bfloat16 resolves only every other px beyond 256.
@@ -33,6 +34,7 @@ from torchvision.ops import batched_nms, sigmoid_focal_loss
 from detector.model.backbone import NORMS, build_backbone
 from detector.model.torchvision_overrides import CachedAnchorGenerator, IdentityTransform
 from detector.model.vehicle_size import sizes_from_cc
+from labelgen.labels import MIN_IGNORED_SHARE
 
 __all__ = ["CcHead", "CcRetinaNet", "ModelConfig", "build_model"]
 
@@ -143,7 +145,8 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         """Compute the terms of the loss, each divided by the batch's number of positive anchors.
 
         Args:
-            targets: per image `boxes` (L, 4) px, `cc` (L,), `cc_known` (L,) bool; for sizes `scene` (4,) as well.
+            targets: per image `boxes` (L, 4) px, `cc` (L,), `cc_known` (L,) bool; for sizes `scene` (4,) as well;
+                `ignored` (K, 4) px where there are such boxes.
             head_outputs: of `forward`.
             anchors: per image (A, 4) px.
             matched_idxs: per image (A,) index of the label, -1 for negative anchors, -2 for those not counted.
@@ -153,6 +156,8 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
         """
         matched = torch.stack(list(matched_idxs))
         positive, counted = matched >= 0, matched != Matcher.BETWEEN_THRESHOLDS
+        in_ignored = [_is_in_ignored(t, a) for t, a in zip(targets, anchors, strict=True)]
+        counted &= positive | ~torch.stack(in_ignored)
         count = positive.sum().clamp(min=1)
         logits = head_outputs["cls_logits"].squeeze(-1).float()
         conf = sigmoid_focal_loss(logits[counted], positive[counted].to(logits.dtype), reduction="sum")
@@ -179,6 +184,18 @@ class CcHead(RetinaNetHead):  # type: ignore[misc]
                 self.cc_weight * F.smooth_l1_loss(sizes, true_sizes[known], beta=self.beta, reduction="sum") / count
             )
         return terms
+
+
+def _is_in_ignored(target: dict[str, Tensor], anchors: Tensor) -> Tensor:
+    """Return (A,) bool which anchors (A, 4) px lie in an ignored box of the image by `MIN_IGNORED_SHARE`."""
+    ignored = target.get("ignored")
+    if ignored is None or not len(ignored):
+        return torch.zeros(len(anchors), dtype=torch.bool, device=anchors.device)
+    low = torch.maximum(anchors[:, None, :2], ignored[None, :, :2])
+    high = torch.minimum(anchors[:, None, 2:], ignored[None, :, 2:])
+    common = (high - low).clamp(min=0).prod(dim=2)
+    area = (anchors[:, 2:] - anchors[:, :2]).prod(dim=1)
+    return (common >= MIN_IGNORED_SHARE * area[:, None]).any(dim=1)
 
 
 def _true_sizes(target: dict[str, Tensor]) -> Tensor:

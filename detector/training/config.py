@@ -42,6 +42,7 @@ class Preset:
             linear warm-up, then down to 0 along a cosine.
         warmup_steps: steps of the warm-up of "cosine", at most half of all steps.
         patience: epochs without progress on the validation shards after which training stops; 0 for never.
+        ignore_boxes: whether vehicles without a label are left out of the loss, see `TrainingSamples`.
         half: train in mixed precision (bfloat16) where the device gains from it.
         whole: augmentation of whole pictures.
         crops: augmentation of BoxCars116k's crops.
@@ -65,6 +66,7 @@ class Preset:
     schedule: Literal["plateau", "cosine"] = "plateau"
     warmup_steps: int = 0
     patience: int = 0
+    ignore_boxes: bool = True
     half: bool = False
     whole: AugmentationRanges = _PAPER_WHOLE
     crops: AugmentationRanges = _PAPER_CROPS

@@ -47,6 +47,12 @@ def train(
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from RUN_DIR's last checkpoint.")] = False,
     overwrite: OverwriteOption = False,
+    ignore_boxes: Annotated[
+        bool,
+        typer.Option(
+            "--ignore-boxes/--no-ignore-boxes", help="Vehicles without a label count neither way, or: as road."
+        ),
+    ] = True,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights, order and augmentation.")] = 0,
     backbone: Annotated[
         str | None, typer.Option("--backbone", metavar="NAME", help="torchvision network instead of the preset's.")
@@ -76,7 +82,7 @@ def train(
     named = weights in ("imagenet", "none")
     settings = find_preset(
         preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,
-        weights=weights if named else None,
+        weights=weights if named else None, ignore_boxes=ignore_boxes,
     )  # fmt: skip
     if backbone is not None:
         settings = replace(settings, model=replace(settings.model, backbone=backbone))

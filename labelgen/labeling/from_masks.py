@@ -43,6 +43,9 @@ class LabelLimits:
     min_inside: float = 0.8
     """Least share of a predicted mask inside one of a higher score that makes it a second mask of the same vehicle.
     Less loses vehicles that are half hidden. Its box is ignored unless another box covers as large a share of it."""
+    part_margin: float = 0.5
+    """Share of its size by which the ignored box of a mask that is lower or smaller than a label's is widened on each
+    side: it often shows a part of a vehicle. Less leaves vehicles that lost 60 % of their mask as background."""
     border_share: float = 0.01
     """A predicted mask that ends within this share of the frame's side is cut by it: networks end short of it."""
     border_px: float = 1.0
@@ -69,47 +72,67 @@ class FrameLabels(NamedTuple):
 
 
 class _Rejections:
-    """The masks of a frame that gave no label, with the boxes to ignore in their place."""
+    """The masks of a frame that gave no label, with the boxes to ignore in their place.
 
-    def __init__(self) -> None:
+    Args:
+        size_wh: of the rectified frame, px.
+        limits: thresholds.
+    """
+
+    def __init__(self, size_wh: tuple[int, int], limits: LabelLimits) -> None:
+        self._border = np.array([0, 0, *size_wh], dtype=np.float64)
+        self._limits = limits
         self._rejects: list[MaskReject] = []
         self._boxes: list[tuple[int, Array, IgnoreReason]] = []
         self._second: list[tuple[int, Array]] = []
 
-    def add(
-        self, number: int, reason: str, detail: str = "", box_xyxy: Array | None = None, is_cut: bool = False
+    def add(self, number: int, reason: str, detail: str = "") -> None:
+        """Reject a mask that has no box in the rectified frame."""
+        self._rejects.append((number, reason, detail))
+
+    def add_box(
+        self, number: int, reason: str, detail: str, box_xyxy: Array, *, is_cut: bool, is_part: bool = False
     ) -> None:
         """Reject a mask; its box (4,), rectified px, is ignored.
 
-        The size of a vehicle that the border cuts is no reason: its true one is unknown.
+        Args:
+            number: of the mask.
+            reason, detail: of the reject.
+            box_xyxy: (4,) of the mask.
+            is_cut: whether the border cuts the mask: its true height and box are unknown then.
+            is_part: whether the mask is so small that it may show a part of a vehicle.
         """
-        self._rejects.append((number, reason, detail))
-        if box_xyxy is not None:
-            ignore_reason = IgnoreReason.of_reject(reason)
-            if is_cut and ignore_reason in (IgnoreReason.TOO_SMALL, IgnoreReason.NO_3D_BOX):
-                ignore_reason = IgnoreReason.CUT
-            self._boxes.append((number, box_xyxy, ignore_reason))
+        self.add(number, reason, detail)
+        ignore_reason = IgnoreReason.of_reject(reason)
+        if is_cut and ignore_reason in (IgnoreReason.TOO_SMALL, IgnoreReason.NO_3D_BOX):
+            ignore_reason = IgnoreReason.CUT
+        if is_part:
+            margin = self._limits.part_margin * np.tile(box_xyxy[2:] - box_xyxy[:2], 2)
+            box_xyxy = np.clip(
+                box_xyxy + margin * (-1, -1, 1, 1), self._border[[0, 1, 0, 1]], self._border[[2, 3, 2, 3]]
+            )
+        self._boxes.append((number, box_xyxy, ignore_reason))
 
     def add_second(self, number: int, box_xyxy: Array | None) -> None:
         """Reject a second mask of a vehicle; its box is ignored if nothing else covers it."""
-        self._rejects.append((number, "inside a better mask", ""))
+        self.add(number, "inside a better mask")
         if box_xyxy is not None:
             self._second.append((number, box_xyxy))
 
-    def result(self, labels: Labels, limits: LabelLimits) -> FrameLabels:
+    def result(self, labels: Labels) -> FrameLabels:
         """Return all that the frame gives."""
         boxes = list(self._boxes)
         # The better mask may have a label, a box to ignore, or be a second mask itself.
         for number, box in self._second:
             covering = np.concatenate([labels.boxes_xyxy, *(other[None] for _, other, _ in boxes)])
-            if not (covered_share([box], covering) >= limits.min_inside).any():
+            if not (covered_share([box], covering) >= self._limits.min_inside).any():
                 boxes.append((number, box, IgnoreReason.OTHER))
         boxes.sort(key=lambda item: item[0])
         # Shards store float32, in which a box of no width may come out.
         array = np.array([box for _, box, _ in boxes], dtype=np.float32).reshape(-1, 4).astype(np.float64)
-        ignored_reasons = np.array([int(reason) for _, _, reason in boxes], dtype=np.uint8)
+        reasons = np.array([int(reason) for _, _, reason in boxes], dtype=np.uint8)
         solid = (array[:, :2] < array[:, 2:]).all(axis=1)
-        return FrameLabels(labels, sorted(self._rejects), IgnoredBoxes(array[solid], ignored_reasons[solid]))
+        return FrameLabels(labels, sorted(self._rejects), IgnoredBoxes(array[solid], reasons[solid]))
 
 
 def label_masks(
@@ -133,11 +156,11 @@ def label_masks(
     Returns:
         Labels of the rectified frame, a reject for each mask without a label, and the boxes to ignore.
     """
-    rejections = _Rejections()
+    rejections = _Rejections(rectification.size_wh, limits)
     doubled = _doubled(masks, limits)
     outlines = _large_outlines(masks, rectification, doubled, limits, rejections)
     if not outlines:
-        return rejections.result(Labels.empty(), limits)
+        return rejections.result(Labels.empty())
     index = np.array(list(outlines))
     mask_labels = label_outlines(list(outlines.values()), rectification.vpu, rule)
     # Shards store float32, so the label is what can be decoded from float32.
@@ -160,7 +183,8 @@ def label_masks(
         elif bad_size[j] and not cut[j]:
             reason = ("implausible size", "length x width x height {:.1f} x {:.1f} x {:.1f} m".format(*sizes[j]))
         if reason:
-            rejections.add(i, *reason, box_xyxy=boxes[j], is_cut=bool(cut[j]))
+            is_part = reason[0] == IgnoreReason.IMPLAUSIBLE_SIZE.text and (sizes[j] < limits.min_size_lwh_m).any()
+            rejections.add_box(i, *reason, boxes[j], is_cut=bool(cut[j]), is_part=bool(is_part))
             keep[j] = False
     disagree = np.abs(np.diff(mask_labels.candidates, axis=1))[:, 0] > limits.max_candidate_difference
     flags = (
@@ -174,7 +198,7 @@ def label_masks(
         flags[keep].astype(np.uint16),
         mask_labels.candidates[keep],
     )
-    return rejections.result(labels, limits)
+    return rejections.result(labels)
 
 
 def _large_outlines(
@@ -196,7 +220,7 @@ def _large_outlines(
             rejections.add(i, "outside the rectified image")
         elif (height := box[3] - box[1]) < limits.min_height_px:
             is_cut = at_border[i] or _truncated(box[None], rectification.size_wh, limits.border_px)[0]
-            rejections.add(i, *_too_small(height, limits), box_xyxy=box, is_cut=bool(is_cut))
+            rejections.add_box(i, *_too_small(height, limits), box, is_cut=bool(is_cut), is_part=True)
         else:
             outlines[i] = outline
     return outlines
@@ -219,7 +243,7 @@ def flat_labels(
     Returns:
         Labels of the resized frame, a reject for each mask without a label, and the boxes to ignore.
     """
-    rejections = _Rejections()
+    rejections = _Rejections(rectification.size_wh, limits)
     boxes, numbers = [], []
     doubled, at_border = _doubled(masks, limits), _at_frame_border(masks, limits)
     for i, box in enumerate(rectification.boxes(masks.boxes_xyxy) if len(masks) else []):
@@ -228,19 +252,19 @@ def flat_labels(
             continue
         contact_point = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
         if (height := box[3] - box[1]) < limits.min_height_px:
-            rejections.add(i, *_too_small(height, limits), box_xyxy=box, is_cut=bool(at_border[i]))
+            rejections.add_box(i, *_too_small(height, limits), box, is_cut=bool(at_border[i]), is_part=True)
         elif not _on_road(masks, np.array([i]), road, contact_point, limits.min_on_road)[0]:
-            rejections.add(i, "off the road", box_xyxy=box)
+            rejections.add_box(i, "off the road", "", box, is_cut=bool(at_border[i]))
         else:
             boxes.append(box)
             numbers.append(i)
     if not numbers:
-        return rejections.result(Labels.empty(), limits)
+        return rejections.result(Labels.empty())
     index = np.array(numbers)
     flags = Flag.FLAT + Flag.TRUNCATED * at_border[index] + Flag.TOUCHING * _touching(masks, doubled)[index]
     zeros = np.zeros(len(numbers))
     labels = Labels(np.array(boxes), zeros, masks.class_ids[index], masks.scores[index], flags.astype(np.uint16))
-    return rejections.result(labels, limits)
+    return rejections.result(labels)
 
 
 def _too_small(height: float, limits: LabelLimits) -> tuple[str, str]:

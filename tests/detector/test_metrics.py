@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from detector_shards import painted_sample
 from detector.metrics import average_precision, evaluate_detections, match_boxes
 from labelgen.errors import LabelgenError
 from labelgen.geometry import decode_boxes, front_bottom_midpoints
-from labelgen.labels import Labels, Sample
+from labelgen.labels import IgnoredBoxes, Labels, Sample
 
 SAMPLES = [s for s in (painted_sample(seed) for seed in range(12)) if len(s.labels)]
 
@@ -66,6 +67,48 @@ def test_ignored_labels_cost_nothing_either_way() -> None:
     both = scored(truth[::-1], np.zeros(2), np.array([0.9, 0.5]))
     for detections in (one, both):
         assert average_precision([truth], [ignored], [detections])["ap50"] == pytest.approx(1)
+
+
+# Boxes of one detection beside that of the label; share of it in the ignored box; whether it costs precision.
+@pytest.mark.parametrize(
+    ("box", "costs"),
+    [
+        ([100, 0, 110, 10], False),
+        ([105, 0, 115, 10], False),  # half of it: enough at every threshold of IoU
+        ([106, 0, 116, 10], True),
+        ([100, 0, 140, 40], True),
+    ],
+)
+def test_detections_in_ignored_boxes_count_neither_way(box: list[float], costs: bool) -> None:
+    truth, around = np.array([[0.0, 0, 10, 10]]), np.array([[98.0, 0, 110, 10]])
+    detections = scored([[float(v) for v in box], *truth.tolist()], np.zeros(2), [0.9, 0.5])
+    nothing = [np.zeros(1, dtype=np.bool_)]
+    result = average_precision([truth], nothing, [detections], [around])
+    assert list(result.values()) == pytest.approx([0.5 if costs else 1.0] * 3)
+    assert average_precision([truth], nothing, [detections])["ap50"] == pytest.approx(0.5)
+    # A detection that matches a label is right, also inside an ignored box.
+    inside = average_precision([truth], nothing, [scored(truth, np.zeros(1), [0.5])], [np.array([[-5.0, -5, 30, 30]])])
+    assert inside["ap"] == pytest.approx(1)
+    # Ignored boxes are no labels that could be missed.
+    nobody = average_precision([truth], nothing, [scored(truth, np.zeros(1), [0.5])], [around])
+    assert nobody["ap"] == pytest.approx(1)
+
+
+def test_ignored_boxes_leave_detections_out_of_all_figures() -> None:
+    sample = SAMPLES[0]
+    extra = np.array([[2.0, 2, 12, 12]])
+    detections = scored(
+        np.concatenate([extra, sample.labels.boxes_xyxy]),
+        np.concatenate([[0.5], sample.labels.cc]),
+        np.ones(len(sample.labels) + 1),
+    )
+    plain = evaluate_detections([(sample, detections)])
+    result = evaluate_detections([(replace(sample, ignored=IgnoredBoxes(extra)), detections)])
+    assert plain["precision"] < 1
+    assert plain["detections_ignored"] == plain["ignored_boxes"] == 0
+    assert (result["precision"], result["recall"], result["ap"]) == (1, 1, pytest.approx(1))
+    assert (result["ignored_boxes"], result["detections_ignored"]) == (1, 1)
+    assert result["detections"] == plain["detections"] - 1
 
 
 def test_errors_of_cc_and_ground_point() -> None:

@@ -17,7 +17,7 @@ PUBLIC_NAMES = {
         DatasetSummary Reject ShardDataset ShardReader ShardSet ShardWriter
         find_shards merge_shards read_index summarise validate_shard validate_shards write_index
     """,
-    "labelgen.labels": "Flag IgnoreReason IgnoredBoxes Labels Sample Split VehicleClass",
+    "labelgen.labels": "Flag IgnoreReason IgnoredBoxes Labels MIN_IGNORED_SHARE Sample Split VehicleClass",
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -97,6 +99,30 @@ def test_cutting_a_box(box: list[float], cc: float, left: list[float], cc_left: 
 @pytest.mark.parametrize("box", [[-90, 10, 10, 50], [200, 10, 240, 50], [10, 10, 13, 50], [10, 93, 60, 200]])
 def test_boxes_with_too_little_left_are_left_out(box: list[float]) -> None:
     assert len(clip_to_image(target([box], [0.5]), SIZE).cc) == 0
+
+
+def test_ignored_boxes_are_moved_and_clipped_with_the_labels() -> None:
+    ignored = np.array([[10.0, 10, 50, 50], [90, 20, 150, 40], [120, 20, 150, 40]])
+    both = replace(target([[10, 10, 50, 50]], [0.5]), ignored_xyxy=ignored)
+    move = AxisAlignedAffine((-1.5, 0.8), (160.0, -10.0))
+    moved = both.moved(move)
+    np.testing.assert_allclose(moved.ignored_xyxy[0], moved.boxes_xyxy[0])
+    np.testing.assert_allclose(moved.ignored_xyxy, move.boxes(both.ignored_xyxy))
+    clipped = clip_to_image(moved, SIZE)
+    assert clipped.ignored_xyxy.tolist() == [[85, 0, 145, 30], [0, 6, 25, 22]]  # the third is outside
+
+
+@pytest.mark.parametrize(
+    ("box", "ignored"),
+    [
+        ([-90, 10, 10, 50], [[0, 10, 10, 50]]),
+        ([10, 93, 60, 200], [[10, 93, 60, 96]]),
+        ([200, 10, 240, 50], []),
+        ([10, 10, 50, 50], []),
+    ],
+)
+def test_what_the_border_leaves_of_a_label_is_ignored(box: list[float], ignored: list[list[float]]) -> None:
+    assert clip_to_image(target([box], [0.5]), SIZE).ignored_xyxy.tolist() == ignored
 
 
 def test_cc_of_truncated_labels_is_not_learnt_from() -> None:

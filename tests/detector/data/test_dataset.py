@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pickle
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from detector_shards import write_painted_shards
+from detector_shards import painted_sample, write_painted_shards
 
 from detector.data.augment import AugmentationRanges
 from detector.data.dataset import (
@@ -22,7 +23,8 @@ from detector.data.dataset import (
 )
 from labelgen.errors import DataError
 from labelgen.geometry import Pair
-from labelgen.shards import ShardDataset
+from labelgen.labels import IgnoredBoxes
+from labelgen.shards import ShardDataset, ShardWriter
 
 SIZE = (160, 96)
 WHOLE = AugmentationRanges(0.2, (0.8, 1.4), 1.2, 0.5, 0.2)
@@ -74,6 +76,31 @@ def test_a_later_step_is_the_same_without_the_earlier_ones(folders: dict[str, Pa
     resumed = steps(make_loader(samples([folders["a"]]), batches=StepSampler(2, 4, lambda: 6)), 99)
     assert len(all_of_it) == 12
     assert resumed == all_of_it[6:8]
+
+
+def test_ignored_boxes_reach_the_batch_unless_they_are_not_wanted(tmp_path: Path) -> None:
+    """A box to ignore in the place of a label is moved as that label is."""
+    folder = tmp_path / "ignored"
+    folder.mkdir()
+    with ShardWriter(folder / "shard-00000.h5", Pair.VP2_VP3, SIZE, source="painted") as writer:
+        for seed in (1, 2, 3, 6):
+            sample = painted_sample(seed)
+            writer.add(replace(sample, ignored=IgnoredBoxes(sample.labels.boxes_xyxy)))
+        writer.last = True
+    sources = open_sources([folder])
+    with_boxes = TrainingSamples(sources, SIZE, WHOLE, CROPS, 0)
+    without = TrainingSamples(sources, SIZE, WHOLE, CROPS, 0, ignore_boxes=False)
+    compared = 0
+    for number in range(12):
+        image, target, _ = with_boxes[number]
+        plain_image, plain, _ = without[number]
+        assert torch.equal(image, plain_image)
+        assert torch.equal(target["boxes"], plain["boxes"])
+        assert plain["ignored"].shape == (0, 4)
+        ignored = target["ignored"].tolist()
+        assert all(box in ignored for box in target["boxes"].tolist())
+        compared += len(target["boxes"])
+    assert compared > 5
 
 
 def test_seeds_differ(folders: dict[str, Path]) -> None:

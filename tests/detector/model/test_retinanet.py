@@ -136,6 +136,39 @@ def test_unknown_cc_is_left_out_of_its_term_alone() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("ignored", "left_out"),
+    [
+        ([], []),
+        ([[18.0, 18, 40, 40]], [3]),
+        ([[20.0, 0, 25, 10]], [1]),  # half of anchor 1
+        ([[20.0, 0, 24, 10]], []),
+        ([[20.0, 0, 24, 10], [24.0, 0, 28, 10]], []),  # each box alone counts
+        ([[0.0, 0, 100, 100]], [1, 3]),  # the positive anchor stays positive
+    ],
+)
+def test_negative_anchors_in_ignored_boxes_are_not_counted(ignored: list[list[float]], left_out: list[int]) -> None:
+    head, outputs = head_and_outputs()
+    labels = {**target([[0.0, 0, 10, 10]], [0.35]), "ignored": torch.tensor(ignored).reshape(-1, 4)}
+    losses = head.compute_loss([labels], outputs, [ANCHORS], [torch.tensor([0, -1, -2, -1])])
+    terms = {0: focal(2.0, True), 1: focal(-1.0, False), 3: focal(0.0, False)}
+    assert losses["conf"].item() == pytest.approx(sum(v for k, v in terms.items() if k not in left_out), rel=1e-5)
+    assert losses["cc"].item() == pytest.approx(smooth_l1(0.05), rel=1e-5)
+
+
+def test_ignored_boxes_of_a_picture_without_labels_reach_the_loss() -> None:
+    model = seeded(LIGHT).train()
+    image = torch.rand(3, 96, 160)
+    empty = {"boxes": torch.empty(0, 4), "labels": torch.empty(0, dtype=torch.int64), "cc": torch.empty(0)}
+    empty |= {"cc_known": torch.empty(0, dtype=torch.bool)}
+    whole = torch.tensor([[-500.0, -500, 800, 800]])
+    with torch.no_grad():
+        plain = model([image], [empty])["conf"].item()
+        ignored = model([image], [{**empty, "ignored": whole}])["conf"].item()
+    assert plain > 0
+    assert ignored == 0
+
+
 def test_cc_weight_scales_the_term() -> None:
     _, outputs = head_and_outputs()
     arguments = ([target([[0.0, 0, 10, 10]], [0.8])], outputs, [ANCHORS], [torch.tensor([0, -1, -1, -1])])

@@ -96,6 +96,7 @@ def test_a_checkpoint_carries_its_metadata(trained: Path) -> None:
     assert metadata["producer"].startswith("labelgen ")
     assert metadata["labels"][0]["settings"] == [{"kind": "exact"}]
     assert metadata["training"]["seed"] == 0
+    assert metadata["training"]["ignore_boxes"] is True
     model, loaded = load_model(trained / "last.ckpt")
     assert loaded.to_dict() == metadata
     assert not model.training
@@ -123,10 +124,15 @@ def test_a_killed_training_resumes_to_the_same_weights(shards: Path, tmp_path: P
     assert all(torch.equal(a[key], b[key]) for key in a)
 
 
-def test_resuming_requires_the_same_settings(trained: Path, shards: Path) -> None:
-    changed = run_train(shards, "--out", trained, *SETTINGS, "--batch", 4, "--resume")
+@pytest.mark.parametrize(
+    ("options", "name"), [(("--batch", 4), "batch"), (("--no-ignore-boxes",), "ignore_boxes")], ids=lambda part: part[0]
+)
+def test_resuming_requires_the_same_settings(
+    trained: Path, shards: Path, options: tuple[object, ...], name: str
+) -> None:
+    changed = run_train(shards, "--out", trained, *SETTINGS, *options, "--resume")
     assert changed.returncode == 2
-    assert "batch differ from those the run was started with" in changed.stderr
+    assert f"{name} differ from those the run was started with" in changed.stderr
     assert changed.stderr.strip().splitlines()[-1].startswith("labelgen: error:")
 
 
