@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import Sample
+from labelgen.media.frames import FrameSource
 from labelgen.media.image_file import read_image
 from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardDataset
 from labelgen.shards.index import read_index
 
-__all__ = ["Originals", "chosen_stream"]
+__all__ = ["Originals", "open_original"]
 
 
 class Originals:
@@ -41,8 +42,8 @@ class Originals:
         """Return where the original of a sample lies.
 
         Returns:
-            `path`, `calibration`, `road_mask`, `masks`, `weights` and, if it was chosen, `stream` for a video;
-            `images` for a folder of images; empty where unknown.
+            `path`, `calibration`, `road_mask`, `masks`, `weights` and, if they were chosen, `stream` and
+            `deinterlace` for a video; `images` for a folder of images; empty where unknown.
         """
         return self._places.get(self._data.locate(index)[0].path, {})
 
@@ -54,11 +55,11 @@ class Originals:
         """
         images: dict[int, NDArray[np.uint8] | None] = dict.fromkeys(indices)
         videos: dict[Path, dict[int, list[int]]] = {}
-        streams: dict[Path, int | None] = {}
+        places: dict[Path, dict[str, Any]] = {}
         for index in images:
             place, sample = self.place(index), self._data[index]
             if place.get("path"):
-                streams[Path(place["path"])] = chosen_stream(place)
+                places[Path(place["path"])] = place
                 videos.setdefault(Path(place["path"]), {}).setdefault(sample.frame, []).append(index)
             elif place.get("images") and not _leads_out(sample.source):
                 try:
@@ -70,7 +71,7 @@ class Originals:
                 continue
             last = max(wanted)
             with contextlib.suppress(DataError):  # damaged meanwhile
-                for frame in open_frames(path, stream=streams[path]).frames(wanted.__contains__):
+                for frame in open_original(places[path]).frames(wanted.__contains__):
                     for index in wanted[frame.number]:
                         images[index] = frame.image
                     if frame.number >= last:
@@ -78,10 +79,15 @@ class Originals:
         return images
 
 
-def chosen_stream(place: Mapping[str, Any]) -> int | None:
-    """Return the number of the video stream that was asked for when labels were made; None for none."""
+def open_original(place: Mapping[str, Any]) -> FrameSource:
+    """Open the video or folder of images at a place as it was read when labels were made.
+
+    Raises:
+        DataError: it cannot be read.
+    """
     number = str(place.get("stream") or "")
-    return int(number) if number.isdecimal() and len(number) < 6 else None
+    stream = int(number) if number.isdecimal() and len(number) < 6 else None
+    return open_frames(Path(place["path"]), stream=stream, deinterlace=bool(place.get("deinterlace")))
 
 
 def _leads_out(name: str) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labelgen.atomic_files import make_folder, write_atomic
 from labelgen.audit.contact_sheets import frame_sheets, label_sheets, pick_labels, save_picture
-from labelgen.audit.originals import Originals, chosen_stream
+from labelgen.audit.originals import Originals, open_original
 from labelgen.audit.statistics import draw_statistics
 from labelgen.audit.step_figures import mask_label_figure, rectification_figure
 from labelgen.choices import Rule
@@ -31,7 +31,6 @@ from labelgen.masks import (
     prime_masks,
 )
 from labelgen.media.frames import FrameSource
-from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardDataset, summarise
 
 __all__ = ["Audit", "make_audit"]
@@ -127,7 +126,7 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
         LabelgenError: there is no such figure; the message says why.
     """
     sample = data[0]
-    frames = open_frames(Path(source["path"]), stream=chosen_stream(source))
+    frames = open_original(source)
     options = data.readers[0].settings.get(str(parse_masks(source["masks"]).kind))
     mask_source = create_mask_source(
         source["masks"],

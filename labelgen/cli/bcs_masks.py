@@ -11,6 +11,7 @@ from labelgen.choices import Pair, Region, Rule
 from labelgen.cli.options import (
     CalibrationOption,
     ClassesOption,
+    DeinterlaceOption,
     FirstFrameOption,
     FpsOption,
     JsonOption,
@@ -85,6 +86,7 @@ def bcs_masks(
     ] = None,
     fps: FpsOption = None,
     stream: StreamOption = None,
+    deinterlace: DeinterlaceOption = False,
     per_shard: Annotated[int, typer.Option("--per-shard", min=1, help="Taken frames in a shard.")] = 500,
     quality: QualityOption = 95,
     workers: WorkersOption = 1,
@@ -115,7 +117,15 @@ def bcs_masks(
     )
     # What is wrong with any input is found out before the first one is calibrated.
     scenes = [
-        find_scene(path, calibration=calibration, road_mask=road_mask, may_lack=True, fps=fps, stream=stream)
+        find_scene(
+            path,
+            calibration=calibration,
+            road_mask=road_mask,
+            may_lack=True,
+            fps=fps,
+            stream=stream,
+            deinterlace=deinterlace,
+        )
         for path in inputs
     ]
     if out is None:

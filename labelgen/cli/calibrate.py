@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.cli.options import (
+    DeinterlaceOption,
     FpsOption,
     JsonOption,
     OverwriteOption,
@@ -55,6 +56,7 @@ def calibrate(
     ] = None,
     fps: FpsOption = None,
     stream: StreamOption = None,
+    deinterlace: DeinterlaceOption = False,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -74,7 +76,7 @@ def calibrate(
     if picture is not None:
         picture_suffix("--picture", picture)
     principal_point = _point(pp)
-    frames = open_frames(video, fps=fps, stream=stream)
+    frames = open_frames(video, fps=fps, stream=stream, deinterlace=deinterlace)
     with frame_notes(frames):
         calibration = calibrate_with_scale(
             frames, scale or ["auto-models"], need_scale=bool(scale), pp=principal_point, duration_s=duration

@@ -12,6 +12,7 @@ import typer
 
 from labelgen.cli.options import (
     CalibrationOption,
+    DeinterlaceOption,
     FpsOption,
     JsonOption,
     OverwriteOption,
@@ -44,6 +45,7 @@ def detect(
     limit: Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N pictures.")] = None,
     fps: FpsOption = None,
     stream: StreamOption = None,
+    deinterlace: DeinterlaceOption = False,
     render: Annotated[bool, typer.Option("--render", help="Write the rectified pictures with 3D boxes.")] = False,
     device: Annotated[str | None, typer.Option("--device", help="Torch device; the GPU when there is one.")] = None,
     overwrite: OverwriteOption = False,
@@ -70,7 +72,9 @@ def detect(
         if is_shards:
             lines = _of_shards(detector, source, limit)
         else:
-            scene = find_scene(source, calibration=calibration, road_mask=road_mask, fps=fps, stream=stream).open()
+            scene = find_scene(
+                source, calibration=calibration, road_mask=road_mask, fps=fps, stream=stream, deinterlace=deinterlace
+            ).open()
             lines = _of_frames(detector, scene, every, limit, problems)
         stack.enter_context(closing(lines))  # type: ignore[type-var]
         first = next(lines)  # finds out what is wrong before anything is written

@@ -73,7 +73,7 @@ _WORD_OPTIONS = {
 # Where a command keeps its arguments as they were given.
 _ARGUMENTS = "labelgen.arguments"
 # Parameters that notes of the library name, and that no other word is like.
-_NAMED_PARAMETERS = re.compile(r"(?<![\w./-])(first_frame|scale_masks)(?![\w./-])")
+_NAMED_PARAMETERS = re.compile(r"(?<![\w./-])(first_frame|scale_masks|(?<=set )deinterlace)(?![\w./-])")
 
 
 def _name_options(text: str) -> str:

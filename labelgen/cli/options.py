@@ -27,6 +27,7 @@ __all__ = [
     "ClassesOption",
     "ContactPoint",
     "Cover",
+    "DeinterlaceOption",
     "FirstFrameOption",
     "FpsOption",
     "Heading",
@@ -155,6 +156,9 @@ StreamOption = Annotated[
     typer.Option(
         "--stream", min=0, metavar="N", help="Which of several video streams, from 0; the largest by default."
     ),
+]
+DeinterlaceOption = Annotated[
+    bool, typer.Option("--deinterlace", help="Deinterlace a video: one whole frame for each frame of two fields.")
 ]
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace what the output already holds. Without it, nothing is replaced.")

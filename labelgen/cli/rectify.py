@@ -12,6 +12,7 @@ from labelgen.choices import Pair
 from labelgen.cli.options import (
     CalibrationOption,
     Cover,
+    DeinterlaceOption,
     FpsOption,
     JsonOption,
     OverwriteOption,
@@ -51,6 +52,7 @@ def rectify(
     frame: Annotated[int, typer.Option("--frame", min=0, metavar="N", help="Frame of a video or image folder.")] = 0,
     fps: FpsOption = None,
     stream: StreamOption = None,
+    deinterlace: DeinterlaceOption = False,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -67,7 +69,15 @@ def rectify(
     size_wh = rectified_size(size, pair, load_manifest("brnocompspeed"))
     suffix = picture_suffix("--out", out)
     check_new_file("--out", out, overwrite)
-    scene = find_scene(source, calibration=calibration, road_mask=road_mask, need_frames=False, fps=fps, stream=stream)
+    scene = find_scene(
+        source,
+        calibration=calibration,
+        road_mask=road_mask,
+        need_frames=False,
+        fps=fps,
+        stream=stream,
+        deinterlace=deinterlace,
+    )
     image = read_picture(scene, frame)
     frame_wh = (image.shape[1], image.shape[0])
     camera = scene.camera(frame_wh)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from labelgen.cli.options import (
+    DeinterlaceOption,
     FpsOption,
     JsonOption,
     OverwriteOption,
@@ -35,6 +36,7 @@ def road_mask(
     ] = None,
     fps: FpsOption = None,
     stream: StreamOption = None,
+    deinterlace: DeinterlaceOption = False,
     overwrite: OverwriteOption = False,
     json_file: JsonOption = None,
 ) -> None:
@@ -55,7 +57,7 @@ def road_mask(
     if out.suffix.lower() != ".png":
         raise OutputError(f"--out {out}: name a .png file")
     check_new_file("--out", out, overwrite)
-    frames = open_frames(video, fps=fps, stream=stream)
+    frames = open_frames(video, fps=fps, stream=stream, deinterlace=deinterlace)
     with frame_notes(frames):
         if calibration is None:
             estimated = calibrate_video(frames, duration_s=duration)

@@ -15,6 +15,7 @@ from labelgen.cli.options import (
     CalibrationOption,
     ClassesOption,
     ContactPoint,
+    DeinterlaceOption,
     FirstFrameOption,
     FpsOption,
     JsonOption,
@@ -101,6 +102,7 @@ def speed(
     ] = None,
     fps: FpsOption = None,
     stream: StreamOption = None,
+    deinterlace: DeinterlaceOption = False,
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.001, metavar="S", help="Stop after S seconds of the video.")
     ] = None,
@@ -128,7 +130,9 @@ def speed(
     check_report_path(json_file)
     if from_ is None:
         from_ = "masks:maskrcnn" if variant is Variant.SOCHOR else "masks:background"
-    inputs = _Inputs(source, out, calibration, road_mask, fps, stream, duration, stall, variant is Variant.DUBSKA)
+    inputs = _Inputs(
+        source, out, calibration, road_mask, fps, stream, deinterlace, duration, stall, variant is Variant.DUBSKA
+    )
     kind, _, argument = from_.partition(":")
     with reported(json_file):
         if kind == "masks" and argument:
@@ -175,6 +179,7 @@ class _Inputs(NamedTuple):
     road_mask: Path | None
     fps: float | None
     stream: int | None
+    deinterlace: bool
     duration_s: float | None
     stall_s: float
     scale_from_dimensions: bool
@@ -188,13 +193,13 @@ class _Inputs(NamedTuple):
         if is_stream_url(self.source):
             return open_stream(
                 self.source, calibration=self.calibration, road_mask=self.road_mask, duration_s=self.duration_s,
-                stall_s=self.stall_s, fps=self.fps, stream=self.stream,
+                stall_s=self.stall_s, fps=self.fps, stream=self.stream, deinterlace=self.deinterlace,
             )  # fmt: skip
         path = Path(self.source)
         name = _input_name(path)
         files = find_scene(
             path, calibration=self.calibration, road_mask=self.road_mask, may_lack=True, fps=self.fps,
-            stream=self.stream,
+            stream=self.stream, deinterlace=self.deinterlace,
         )  # fmt: skip
         files.check_times()
         # Each system with the scale it was published with; models are what serves everything else best.
@@ -257,6 +262,7 @@ def _file_job(
         need_frames=render,
         fps=inputs.fps,
         stream=inputs.stream,
+        deinterlace=inputs.deinterlace,
     )
     job = job_from_file(file, scene, with_pictures=render, fps=inputs.fps, duration_s=inputs.duration_s)
     return replace(job, name=_input_name(source))

@@ -9,6 +9,7 @@ import typer
 
 from labelgen.cli.options import (
     APP_SETTINGS,
+    DeinterlaceOption,
     Heading,
     JsonOption,
     OverwriteOption,
@@ -93,6 +94,7 @@ def session(
             help="With a video: degrees above the horizon and right of straight ahead; by default from its shadows.",
         ),
     ] = None,
+    deinterlace: DeinterlaceOption = False,
     replay: Annotated[bool, typer.Option("--replay", help="Re-enact the scene's recorded traffic.")] = False,
     start: Annotated[
         float | None,
@@ -147,6 +149,7 @@ def session(
         road_mask=road_mask,
         heading=None if heading is None else 1 if heading is Heading.AWAY else -1,
         sun=_sun(sun),
+        deinterlace=deinterlace,
         video=video,
         overwrite=overwrite,
     )

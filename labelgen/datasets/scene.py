@@ -60,6 +60,7 @@ class SceneFiles:
         missing: which of "calibration" and "road mask" were found nowhere; their paths mean nothing.
         given_fps: frame rate that the user gives, for frames without time stamps that can be trusted.
         stream: number of the video stream to use, from 0; None takes the largest.
+        deinterlace: whether each frame of a video is deinterlaced.
     """
 
     name: str
@@ -73,6 +74,7 @@ class SceneFiles:
     missing: frozenset[str] = frozenset()
     given_fps: float | None = None
     stream: int | None = None
+    deinterlace: bool = False
 
     def open_frames(self) -> FrameSource:
         """Open the frames alone.
@@ -82,7 +84,7 @@ class SceneFiles:
         """
         if self.frames_path is None:
             raise DataError(f"{self.name}: its video is not there")
-        return open_frames(self.frames_path, fps=self.given_fps, stream=self.stream)
+        return open_frames(self.frames_path, fps=self.given_fps, stream=self.stream, deinterlace=self.deinterlace)
 
     def check_times(self) -> None:
         """Find out whether frames have times.
@@ -170,6 +172,7 @@ def open_stream(
     stall_s: float = 30.0,
     fps: float | None = None,
     stream: int | None = None,
+    deinterlace: bool = False,
 ) -> Scene:
     """Open a live camera.
 
@@ -180,6 +183,7 @@ def open_stream(
         stall_s: seconds without a frame after which the stream counts as broken.
         fps: frames per second of a stream without time stamps.
         stream: number of the video stream to use, from 0; None takes the largest.
+        deinterlace: whether each frame is deinterlaced.
 
     Raises:
         DataError: a file is missing, or the stream cannot be opened.
@@ -192,7 +196,7 @@ def open_stream(
     # Find out what is wrong with the files before the camera is connected.
     RoadMask(read_mask(road_mask))
     Camera.load(calibration)
-    frames = VideoStream(url, duration_s=duration_s, stall_s=stall_s, fps=fps, stream=stream)
+    frames = VideoStream(url, duration_s=duration_s, stall_s=stall_s, fps=fps, stream=stream, deinterlace=deinterlace)
     size = frames.size_wh
     road = RoadMask(read_mask(road_mask, image_wh=size))
     notes = size_notes(calibration, road_mask, size)
@@ -214,6 +218,7 @@ def find_scene(
     may_lack: bool = False,
     fps: float | None = None,
     stream: int | None = None,
+    deinterlace: bool = False,
 ) -> SceneFiles:
     """Find what belongs to a video, image or session folder.
 
@@ -223,7 +228,7 @@ def find_scene(
         need_frames: whether a session without its video is an error.
         may_lack: whether a calibration or road mask that is found nowhere is named in `SceneFiles.missing` rather
             than being an error.
-        fps, stream: `SceneFiles.given_fps` and `SceneFiles.stream`.
+        fps, stream, deinterlace: `given_fps`, `stream` and `deinterlace` of the `SceneFiles`.
 
     Raises:
         DataError: no such input, or something is missing; names everything that is, and where it was looked for.
@@ -237,7 +242,7 @@ def find_scene(
     if reasons:
         parameters = tuple(name.replace(" ", "_") for name in reasons if name in given)
         raise DataError(f"{path}: {'; '.join(reasons.values())}", parameter=parameters)
-    return replace(scene, missing=frozenset(lacking), given_fps=fps, stream=stream)
+    return replace(scene, missing=frozenset(lacking), given_fps=fps, stream=stream, deinterlace=deinterlace)
 
 
 def _find(

@@ -134,6 +134,8 @@ def video_job(
         values = {getattr(files, key) for files in scenes} - {None}
         if values:
             common[key.removeprefix("given_")] = values.pop()
+    if any(files.deinterlace for files in scenes):
+        common["deinterlace"] = True
     units: list[VideoUnit] = []
     reasons: list[NoVehiclesError] = []
     inputs = {}
@@ -262,6 +264,7 @@ class VideoUnit:
             "masks": f"{name.label}:{name.file.resolve()}" if name.file else name.label,
             "weights": str(self.masks.weights.resolve()) if self.masks.weights else None,
             **({} if self.files.stream is None else {"stream": str(self.files.stream)}),
+            **({"deinterlace": "yes"} if self.files.deinterlace else {}),
         }
 
     def rectification(self, scene: Scene) -> Rectification:

@@ -20,6 +20,7 @@ import numpy as np
 from av.error import ExitError, FFmpegError
 
 from labelgen.errors import DataError
+from labelgen.media.container.deinterlace import DEINTERLACED, deinterlaced
 from labelgen.media.container.file_stamps import STAMP_RULES, STAMPLESS_FORMATS
 from labelgen.media.container.frame_clock import ArrivalClock, FrameClock
 from labelgen.media.container.frame_geometry import FrameGeometry
@@ -58,6 +59,7 @@ class VideoStream:
         stall_s: time without data after which the stream counts as stalled, s.
         fps: frames per second, for a stream without time stamps; None measures it from the arrivals.
         stream: number of the video stream to use, from 0; None takes the largest.
+        deinterlace: whether each frame is deinterlaced.
 
     Attributes:
         failure: the error that broke off the last iteration; None where the stream was left on time, or where it
@@ -80,6 +82,7 @@ class VideoStream:
         stall_s: float = 10.0,
         fps: float | None = None,
         stream: int | None = None,
+        deinterlace: bool = False,
     ) -> None:
         self.url, self.path = url, Path(url.rsplit("/", 1)[-1].split("?")[0] or "stream")
         self.name = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.path.stem) or "stream"
@@ -115,8 +118,9 @@ class VideoStream:
         self.size_wh = self._geometry.size_wh
         if self._geometry.note:
             self.notes.append(self._geometry.note)
-        if first.interlaced_frame:
-            self.notes.append(INTERLACED)
+        self._deinterlace = deinterlace
+        if deinterlace or first.interlaced_frame:
+            self.notes.append(DEINTERLACED if deinterlace else INTERLACED)
         if self._by_arrival:
             way = "by their arrival" if fps is None else f"at the given {fps:g} per second"
             self.notes.append(f"the stream has no time stamps: frames are timed {way}")
@@ -141,7 +145,8 @@ class VideoStream:
         self._begun = True
         latest, dropped, count = 0.0, 0, 0
         try:
-            for number, time_s, gaps_s, decoded in self._clock.timed(self._stamped()):
+            items = self._clock.timed(self._stamped())
+            for number, time_s, gaps_s, decoded in deinterlaced(items) if self._deinterlace else items:
                 count = number + 1
                 if (decoded.width, decoded.height) != self._coded_wh:
                     new, old = ("{}x{}".format(*wh) for wh in ((decoded.width, decoded.height), self._coded_wh))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError
 from labelgen.media.container.damaged_file import why_unreadable
+from labelgen.media.container.deinterlace import DEINTERLACED, deinterlaced
 from labelgen.media.container.file_names import ffmpeg_name
 from labelgen.media.container.file_stamps import ClockCarry, FileStamps
 from labelgen.media.container.frame_clock import FrameClock, TimedItem
@@ -56,6 +57,7 @@ class VideoFile:
         threads: decoding threads; 0 leaves it to the decoder.
         fps: frames per second; used where the file holds no time stamps, or none that can be trusted.
         stream: number of the video stream to use, from 0, not counting cover pictures; None takes the largest.
+        deinterlace: whether each frame is deinterlaced.
 
     Raises:
         DataError: the file is missing, empty, no video, without a (or this) video stream, or without one readable
@@ -66,13 +68,19 @@ class VideoFile:
     failure: Exception | None = None
 
     def __init__(
-        self, path: str | Path, *, threads: int = 0, fps: float | None = None, stream: int | None = None
+        self,
+        path: str | Path,
+        *,
+        threads: int = 0,
+        fps: float | None = None,
+        stream: int | None = None,
+        deinterlace: bool = False,
     ) -> None:
         self.path = Path(path)
         self.name = self.path.stem
         self.notes: list[str] = []
         self.problems: list[str] = []
-        self._threads, self._wanted_stream = threads, stream
+        self._threads, self._wanted_stream, self._deinterlace = threads, stream, deinterlace
         name = ffmpeg_name(self.path)  # refuses names that no file has
         if not self.path.is_file():
             raise DataError(f"{self.path}: no such video file")
@@ -92,8 +100,8 @@ class VideoFile:
             if len(streams) > 1:
                 self.notes.append(stream_note(len(streams), streams.index(video), video, chosen=stream is not None))
             self.notes += [note for note in (self._geometry.note, self._stamps.note) if note]
-            if first.interlaced_frame:
-                self.notes.append(INTERLACED)
+            if deinterlace or first.interlaced_frame:
+                self.notes.append(DEINTERLACED if deinterlace else INTERLACED)
 
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
@@ -142,10 +150,10 @@ class VideoFile:
 
             try:
                 if self._stamps.are_times:
-                    yield from clock.timed(decoded_frames())
+                    items = clock.timed(decoded_frames())
                 else:
-                    for number, time_s, decoded in decoded_frames():
-                        yield TimedItem(number, time_s, 0.0, decoded)
+                    items = (TimedItem(number, time_s, 0.0, frame) for number, time_s, frame in decoded_frames())
+                yield from deinterlaced(items) if self._deinterlace else items
             finally:
                 self.problems = [*clock.problems(), *carry.problems()]
                 # With gaps and jumps in the stamps a number computed from the duration means nothing.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 __all__ = ["INTERLACED", "display_matrix", "pixel_count", "stream_note"]
 
-INTERLACED = "its frames are interlaced: moving edges are torn; deinterlace the video for exact results"
+INTERLACED = "its frames are interlaced: moving edges are torn; for exact results set deinterlace"
 
 
 def display_matrix(decoded: Any) -> NDArray[np.float64] | None:

@@ -106,12 +106,13 @@ class Footage:
         return np.asarray(cv2.morphologyEx(solid, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8)) > 0)
 
 
-def read_footage(path: Path, thresholds: FootageThresholds = FOOTAGE) -> Footage:
+def read_footage(path: Path, thresholds: FootageThresholds = FOOTAGE, *, deinterlace: bool = False) -> Footage:
     """Sample a video of a fixed camera and estimate its background image; a slightly swaying picture is stabilised.
 
     Args:
         path: video file or folder of images.
         thresholds: of this stage.
+        deinterlace: whether each frame of a video is deinterlaced.
 
     Returns:
         The footage; its width and height are even, as the encoder needs them.
@@ -119,7 +120,7 @@ def read_footage(path: Path, thresholds: FootageThresholds = FOOTAGE) -> Footage
     Raises:
         DataError: the video cannot be read, or is too short to show the road without traffic.
     """
-    source = open_frames(path)
+    source = open_frames(path, deinterlace=deinterlace)
     width, height = source.size_wh
     width, height = width - width % 2, height - height % 2
     frames, consecutive, count = _sample(source, (width, height), thresholds)

@@ -95,6 +95,7 @@ def load_own_camera(
     weather: Weather | None = None,
     sun: tuple[float, float] | None = None,
     plates: str | None = None,
+    deinterlace: bool = False,
     thresholds: OwnCameraThresholds = OWN_CAMERA,
 ) -> OwnCamera:
     """Estimate all that rendering traffic into a video needs.
@@ -109,15 +110,16 @@ def load_own_camera(
         sun: degrees, elevation above the horizon and azimuth to the right of straight ahead; from the shadows when
             None.
         plates: family of number plates of the vehicles to which colours are fitted; any when None.
+        deinterlace: whether each frame of the video is deinterlaced.
         thresholds: of this stage.
 
     Raises:
         DataError: the video, its calibration or its road mask is missing, damaged or of another size.
         CalibrationError: there is no calibration, and the video does not allow one.
     """
-    files = find_scene(video, calibration=calibration, road_mask=road_mask, may_lack=True)
+    files = find_scene(video, calibration=calibration, road_mask=road_mask, may_lack=True, deinterlace=deinterlace)
     parts = complete_scene(files, folder / files.name)
-    footage = read_footage(video)
+    footage = read_footage(video, deinterlace=deinterlace)
     height, width = footage.background.shape[:2]
     camera = parts.camera((width, height))
     road = parts.road().pixels
@@ -127,7 +129,8 @@ def load_own_camera(
             "make the mask with labelgen road-mask"
         )
     road = road[:height, :width]
-    lanes, borders = find_lanes(camera, road, footage.background, observe(open_frames(video)).tracks, heading)
+    tracks = observe(open_frames(video, deinterlace=deinterlace)).tracks
+    lanes, borders = find_lanes(camera, road, footage.background, tracks, heading)
     scene = _scene(parts.name, camera, lanes, borders, road, footage.background, thresholds)
     shadows = find_shadows(footage, camera, road)
     if sun is not None:

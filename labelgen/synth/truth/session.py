@@ -80,6 +80,7 @@ def write_session(
     calibration: Path | None = None,
     road_mask: Path | None = None,
     sun: tuple[float, float] | None = None,
+    deinterlace: bool = False,
     video: bool = True,
     overwrite: bool = False,
 ) -> SessionSummary:
@@ -104,6 +105,7 @@ def write_session(
         calibration, road_mask: of the video that `scene` names; looked for beside it, or made from it, when None.
         sun: with such a video, degrees: the sun's height and how far right of straight ahead it stands; by the shadows
             of its vehicles when None.
+        deinterlace: whether each frame of such a video is deinterlaced.
         video: whether to render; without, only boxes and tracks are written.
         overwrite: whether an existing session may be replaced.
 
@@ -122,7 +124,7 @@ def write_session(
     else:
         setting = _own(
             scene, weather, seed, out, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
-            plates=plates,
+            plates=plates, deinterlace=deinterlace,
         )  # fmt: skip
     fps = fps or setting.fps
     if replay and setting.surveyed is not None:

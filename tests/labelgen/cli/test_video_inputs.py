@@ -17,7 +17,9 @@ from clips import write_clip
 from speed_scenes import Drive, frame_times, write_scene
 from stream_server import serve_stream
 
+from labelgen.audit.originals import Originals
 from labelgen.cli.main import main
+from labelgen.media.video_reader import VideoFile
 from labelgen.shards import ShardDataset
 
 DRIVES = [Drive(60.0, 38.0, 2.0), Drive(72.0, 16.0, -3.0, 1), Drive(48.0, 60.0, 2.2)]
@@ -194,6 +196,42 @@ def test_every_command_that_reads_video_takes_a_rate_and_a_stream(labelgen: Any,
     text = labelgen(command, "--help").stdout
     assert "--fps" in text
     assert "--stream" in text
+    assert "--deinterlace" in text
+
+
+def test_interlaced_videos(labelgen: Any, scene: Path, tmp_path: Path) -> None:
+    path = beside(scene, tmp_path) / "road.mkv"
+    images = pictures(scene)
+    with av.open(str(path), "w") as container:
+        options = {"x264-params": "bff=1", "crf": "12", "bf": "0"}
+        stream: Any = container.add_stream("libx264", rate=FPS, options=options)
+        stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
+        for image, later in zip(images, [*images[1:], images[-1]], strict=True):
+            woven = image.copy()
+            woven[::2] = later[::2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(woven, format="bgr24")))
+        container.mux(stream.encode(None))
+    masks = f"coco:{scene / 'masks.json'}"
+    told = labelgen("speed", path, "--from", f"masks:{masks}", "--near-end", "outline", "--out", "a")
+    assert "its frames are interlaced: moving edges are torn; for exact results set --deinterlace" in told.stderr
+    done = labelgen("speed", path, "--from", f"masks:{masks}", "--near-end", "outline", "--deinterlace", "--out", "b")
+    assert done.returncode == 0
+    assert ["frames", str(len(images))] in [line.split() for line in done.stdout.splitlines()]
+    assert measured(tmp_path / "b" / "road") == pytest.approx(SPEEDS, abs=0.5)
+    assert "its frames are deinterlaced, as asked" in done.stderr
+    command = ("bcs-masks", path, "--masks", masks, "--every", 20)
+    for options in ((), ("--deinterlace",)):
+        assert labelgen(*command, *options, "--out", "shards", "--overwrite").returncode == 0
+        original = json.loads((tmp_path / "shards" / "dataset.json").read_text())["shards"][0]["original"]
+        assert original.get("deinterlace") == ("yes" if options else None)
+    samples = ShardDataset(tmp_path / "shards")
+    (original_image,) = Originals(samples).read([0]).values()
+    assert original_image is not None
+    assert np.array_equal(original_image, next(VideoFile(path, deinterlace=True).frames()).image)
+    assert labelgen(*command, "--out", "shards").returncode == 2  # other settings
+    refused = labelgen("rectify", scene, "--deinterlace", "--calibration", scene / "road.calibration.json",
+                       "--road-mask", scene / "road.mask.png", "--out", "x.png")  # fmt: skip
+    assert refused.returncode == 2
 
 
 def test_another_stream_of_a_file(labelgen: Any, scene: Path, tmp_path: Path) -> None:
