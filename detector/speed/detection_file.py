@@ -177,10 +177,12 @@ class DetectionFile:
     def _detections(self, view: MeasurementView, line: dict[str, Any], number: int) -> Detections:
         try:
             frame, time_s, boxes = line["frame"], line.get("time_s"), line["boxes"]
-            if not isinstance(frame, int) or frame < 0:
+            if not isinstance(frame, int) or not 0 <= frame <= _MAX_FRAME:
                 raise ValueError(f"frame {frame!r}")
             if time_s is None:
                 time_s = frame / self.fps if self.fps else math.nan
+            if abs(float(time_s)) > _MAX_TIME_S:  # NaN, where no rate is known, is no time
+                raise ValueError(f"time_s {time_s!r}")
             count = len(boxes)
             arrays = {key: _array(line, key, count) for key in ("boxes", "cc", "scores", "classes", "vertices")}
             detections, _ = view.place(
@@ -193,6 +195,8 @@ class DetectionFile:
 
 
 _MAX_SIDE_PX, _MAX_REASON = 65_536, 200
+# No recording is longer: 30 years, at a thousand frames per second.
+_MAX_TIME_S, _MAX_FRAME = 1e9, 10**12
 _SHAPES: dict[str, tuple[int, ...]] = {"boxes": (4,), "cc": (), "scores": (), "classes": (), "vertices": (8, 2)}
 
 

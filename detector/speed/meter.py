@@ -22,6 +22,8 @@ __all__ = ["MeasureRules", "SpeedMeter"]
 _TOO_FEW = "too few points"
 # Number of last steps from frame to frame that give the frame rate.
 _STEPS = 200
+# Least step between two frames, s, and largest number of a frame.
+_MIN_STEP_S, _MAX_TICK = 1e-6, 1e15
 
 IntArray = NDArray[np.int64]
 
@@ -148,10 +150,11 @@ class SpeedMeter:
         if not math.isfinite(time_s):
             return detections.frame
         if self._fps is not None:
-            return round(time_s * self._fps)
+            return round(min(time_s * self._fps, _MAX_TICK))
         if not step_s > 0:
             return self._tick + 1
-        return self._tick + round(step_s / float(np.median(self._steps_s)))
+        # Steps of nearly nothing beside a long one would be more frames than can be counted.
+        return round(min(self._tick + step_s / max(float(np.median(self._steps_s)), _MIN_STEP_S), _MAX_TICK))
 
     def problems(self) -> list[str]:
         """Return what makes the figures doubtful, one line each."""

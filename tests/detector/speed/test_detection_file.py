@@ -86,6 +86,9 @@ def test_damaged_heads(tmp_path: Path, change: dict[str, Any], message: str) -> 
         ('{"frame": 9, "boxes": [[1, 2, 3]]}', "line 3: damaged"),
         ('{"frame": 9, "boxes": [[1, 2, 3, 4]], "cc": [0.5, 0.5]}', "line 3: damaged.*cc: expected shape"),
         ('{"frame": 9, "boxes": [["a", 2, 3, 4]]}', "line 3: damaged"),
+        ('{"frame": 9, "time_s": 1e27, "boxes": []}', "line 3: damaged.*time_s"),
+        ('{"frame": 9, "time_s": -1e27, "boxes": []}', "line 3: damaged.*time_s"),
+        ('{"frame": 9000000000000000000000, "boxes": []}', "line 3: damaged.*frame"),
         ('{"frame": 0, "boxes": []}', "line 3: frame 0 after frame 0; sort the lines"),
     ],
 )

@@ -29,6 +29,12 @@ def drive_past(
 STEADY = [n / 50 for n in range(250)]
 
 
+@pytest.mark.parametrize("fps", [None, 50.0])
+def test_times_that_cannot_be_end_tracks_and_nothing_else(fps: float | None) -> None:
+    times = [0.0, 1e-300, 2e-300, 3e-300, 1e30, 1e301]
+    assert drive_past(make_view(Variant.TRANSFORM3D), [Drive(72.0, 40.0)], times, fps=fps) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", list(Pair))
 @pytest.mark.parametrize("variant", [v for v in Variant if v is not Variant.ORIG2D])
