@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labelgen.choices import Pair, Region, Rule
+from labelgen.cli.notes import notes_beside
 from labelgen.cli.options import (
     CalibrationOption,
     ClassesOption,
@@ -132,6 +133,7 @@ def bcs_masks(
         if len(scenes) > 1:
             raise LabelgenError("several inputs: name the folder for their common shards", parameter="out")
         out = Path("shards") / scenes[0].name
+        notes_beside(out)
     single = len(scenes) == 1
     scenes = [complete_scene(scene, out if single else out / scene.name, need_scale=False) for scene in scenes]
     with reported(json_file):

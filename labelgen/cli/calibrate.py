@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from labelgen.cli.notes import notes_beside
 from labelgen.cli.options import (
     DeinterlaceOption,
     FpsOption,
@@ -70,6 +71,7 @@ def calibrate(
     from labelgen.media.open_frames import open_frames
 
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
+    notes_beside(out)
     check_report_path(json_file, out)
     check_new_file("--out", out, overwrite)
     check_new_file("--picture", picture, overwrite)

@@ -9,18 +9,20 @@ import logging
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from labelgen.cli.foreign_messages import counted_foreign_messages
+from labelgen.cli.notes import LOGGERS, finish_notes, name_options, notes_beside, notes_on_screen
 from labelgen.cli.options import APP_SETTINGS
 from labelgen.cli.printing import say
 from labelgen.errors import LabelgenError, NoWeightsError
-from labelgen.printable import hide_passwords, printable
+from labelgen.printable import printable
 from labelgen.version import __version__
 
 __all__ = ["app", "main"]
@@ -72,13 +74,6 @@ _WORD_OPTIONS = {
 
 # Where a command keeps its arguments as they were given.
 _ARGUMENTS = "labelgen.arguments"
-# Parameters that notes of the library name, and that no other word is like.
-_NAMED_PARAMETERS = re.compile(r"(?<![\w./-])(first_frame|scale_masks|(?<=set )deinterlace)(?![\w./-])")
-
-
-def _name_options(text: str) -> str:
-    """Return text of the library with the options of the parameters that it names."""
-    return _NAMED_PARAMETERS.sub(lambda match: f"--{match[1].replace('_', '-')}", text)
 
 
 class _Command(TyperCommand):
@@ -90,6 +85,8 @@ class _Command(TyperCommand):
         return super().parse_args(ctx, [arg.strip() if option in _WORD_OPTIONS else arg for option, arg in words])
 
     def invoke(self, ctx: Any) -> Any:
+        if isinstance(ctx.params.get("out"), Path):
+            notes_beside(ctx.params["out"])
         try:
             return super().invoke(ctx)
         except LabelgenError as err:
@@ -115,7 +112,7 @@ class _OptionError(LabelgenError):
 
     def __init__(self, err: LabelgenError, options: Sequence[str], commands: Sequence[str] = ()) -> None:
         text = " ".join(str(err).split())
-        text = _name_options(text)
+        text = name_options(text)
         first = err.parameters[0] if err.parameters else ""
         # `--from masks:x` is more than the parameter `masks`: there the option stands at the end.
         leads = bool(first) and re.match(rf"{re.escape(first)}(?![\w.])", text) is not None
@@ -178,19 +175,20 @@ def root(
 ) -> None:
     """Labels for monocular 3D vehicle detection and speed measurement from traffic cameras."""
     level = logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO
-    for name in _LOGGERS:
+    for name in LOGGERS:
         logging.getLogger(name).setLevel(level)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted, 143 terminated."""
-    with _log_to_standard_error():
+    with notes_on_screen():
         sys.exit(_run(list(sys.argv[1:] if arguments is None else arguments)))
 
 
 def _run(arguments: list[str]) -> int:
     try:
-        code = app(args=arguments, prog_name="labelgen", standalone_mode=False)
+        with counted_foreign_messages():
+            code = app(args=arguments, prog_name="labelgen", standalone_mode=False)
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
     except KeyboardInterrupt:
@@ -216,54 +214,13 @@ def _run(arguments: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-_LOGGERS = ("labelgen", "detector")
-
-
-@contextmanager
-def _log_to_standard_error() -> Iterator[None]:
-    """Print what the library logs as lines on standard error, with the word `note` or `warning` before them."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(_LineFormatter())
-    handler.addFilter(_Once())
-    loggers = [logging.getLogger(name) for name in _LOGGERS]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.removeHandler(handler)
-            logger.setLevel(level)
-
-
-class _LineFormatter(logging.Formatter):
-    """One line for each record."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        word = "note" if record.levelno == logging.INFO else record.levelname.lower()
-        return hide_passwords(printable(f"{word}: {_name_options(record.getMessage())}"))
-
-
-class _Once(logging.Filter):
-    """Let each line through once: planning a job and doing it may tell the same."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._told: set[tuple[int, str]] = set()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        line = (record.levelno, record.getMessage())
-        is_new = line not in self._told
-        self._told.add(line)
-        return is_new
-
-
 def _interrupted() -> NoReturn:
+    finish_notes()
     say("labelgen: interrupted; the same command goes on where it stopped", err=True)
     sys.exit(130)
 
 
 def _fail(message: str) -> NoReturn:
+    finish_notes()
     say(f"labelgen: error: {message}", err=True)
     sys.exit(2)

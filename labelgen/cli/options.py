@@ -64,9 +64,6 @@ APP_SETTINGS: dict[str, Any] = {
     "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 110},
 }
 
-# Problems of one run that are printed; --json has all.
-_MAX_PRINTED = 10
-
 
 class ContactPoint(StrEnum):
     """Where a mask's vehicle ends towards the camera."""
@@ -231,11 +228,9 @@ def write_json_report(path: Path | None, data: Any) -> None:
 
 
 def warn_of(problems: Sequence[str]) -> None:
-    """Print problems as warnings, the first of them where there are many."""
-    for problem in problems[:_MAX_PRINTED]:
+    """Print problems as warnings."""
+    for problem in problems:
         _log.warning("%s", problem)
-    if len(problems) > _MAX_PRINTED:
-        _log.warning("and %d more of these", len(problems) - _MAX_PRINTED)
 
 
 @contextmanager

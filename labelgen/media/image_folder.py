@@ -10,6 +10,7 @@ from pathlib import Path
 from labelgen.errors import DataError
 from labelgen.media.frames import Frame, always
 from labelgen.media.image_file import read_image
+from labelgen.problem_counts import ProblemCounts
 
 __all__ = ["ImageFolder"]
 
@@ -72,18 +73,23 @@ class ImageFolder:
     def frames(
         self, wanted: Callable[[int], bool] = always, not_before_s: Callable[[], float] | None = None
     ) -> Iterator[Frame]:
-        """Return the wanted frames; see `FrameSource.frames`. Afterwards `problems` lists the skipped files."""
-        self.problems = []
+        """Return the wanted frames; see `FrameSource.frames`. `problems` counts the files that were skipped."""
+        counts, self.problems = ProblemCounts(), []
         for number, name in enumerate(self.file_names):
             if not wanted(number):
                 continue
             try:
                 image = read_image(self.path / name, label=name)
+                if (image.shape[1], image.shape[0]) != self.size_wh:
+                    now, was = (f"{w}x{h}" for w, h in ((image.shape[1], image.shape[0]), self.size_wh))
+                    raise _OtherSizeError(f"{name}: {now} px instead of the first image's {was}")
             except DataError as error:
-                self.problems.append(f"{error}; skipped")
+                kind = "of another size" if isinstance(error, _OtherSizeError) else "they cannot be read"
+                counts.add(kind, str(error), noun="image")
+                self.problems = counts.lines()
                 continue
-            if (image.shape[1], image.shape[0]) != self.size_wh:
-                now, was = (f"{w}x{h}" for w, h in ((image.shape[1], image.shape[0]), self.size_wh))
-                self.problems.append(f"{name}: {now} px instead of the first image's {was}, skipped")
-            else:
-                yield Frame(number, number / self.fps if self.fps else math.nan, image, name)
+            yield Frame(number, number / self.fps if self.fps else math.nan, image, name)
+
+
+class _OtherSizeError(DataError):
+    """An image is of another size than the first one."""
