@@ -16,7 +16,8 @@ from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
 from labelgen.labeling.from_masks import LabelLimits, label_masks
 from labelgen.labels import Labels
 from labelgen.masks import InstanceMasks, MaskSource, masked_frames
-from labelgen.media.frames import Frame, FrameSource, always
+from labelgen.media.frame_choice import FrameChoice
+from labelgen.media.frames import Frame, FrameSource
 
 __all__ = ["SPEED_LIMITS", "MaskDetections", "MaskPlacer"]
 
@@ -142,6 +143,5 @@ class MaskDetections:
 
     def stream(self, frames: FrameSource) -> Iterator[tuple[Frame, Detections]]:
         """Yield frames with their detections; see `DetectionSource.stream`."""
-        for frame, masks in masked_frames(frames, self._masks, always):
-            if masks is not None:
-                yield frame, self._placer.place(frame.number, frame.time_s, masks)
+        for frame, masks in masked_frames(frames, self._masks, FrameChoice()):
+            yield frame, self._placer.place(frame.number, frame.time_s, masks)

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import Sample
+from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import FrameSource
 from labelgen.media.image_file import read_image
 from labelgen.media.open_frames import open_frames
+from labelgen.media.sparse_frames import sparse_frames
 from labelgen.shards import ShardDataset
 from labelgen.shards.index import read_index
 
@@ -48,7 +50,7 @@ class Originals:
         return self._places.get(self._data.locate(index)[0].path, {})
 
     def read(self, indices: Iterable[int]) -> dict[int, NDArray[np.uint8] | None]:
-        """Return the original image (H, W, 3) BGR of each sample's window, or None. Each video is decoded once.
+        """Return the original image (H, W, 3) BGR of each sample's window, or None. Each video is read once.
 
         Args:
             indices: numbers of the samples.
@@ -69,13 +71,11 @@ class Originals:
         for path, wanted in videos.items():
             if not path.is_file() and not path.is_dir():  # moved away, or a pipe that would be waited for
                 continue
-            last = max(wanted)
+            choice = FrameChoice(wanted=wanted.__contains__, limit=max(wanted) + 1)
             with contextlib.suppress(DataError):  # damaged meanwhile
-                for frame in open_original(places[path]).frames(wanted.__contains__):
+                for frame in sparse_frames(open_original(places[path]), choice):
                     for index in wanted[frame.number]:
                         images[index] = frame.image
-                    if frame.number >= last:
-                        break
         return images
 
 

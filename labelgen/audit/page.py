@@ -30,6 +30,7 @@ from labelgen.masks import (
     parse_masks,
     prime_masks,
 )
+from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import FrameSource
 from labelgen.shards import ShardDataset, summarise
 
@@ -158,9 +159,8 @@ def _masks_of(image: NDArray[np.uint8], number: int, frames: FrameSource, source
     if not (source.prime_frames or source.every_frame or frames.path.is_dir()):
         return source.masks([image], [number], [""])[0]
     prime_masks(source, frames)
-    for _, masks in masked_frames(frames, source, lambda n: n == number):
-        if masks is not None:
-            return masks
+    for _, masks in masked_frames(frames, source, FrameChoice(wanted=number.__eq__, limit=number + 1)):
+        return masks
     raise DataError(f"{frames.path}: it has no frame {number}")
 
 

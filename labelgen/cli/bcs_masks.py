@@ -16,6 +16,7 @@ from labelgen.cli.options import (
     FirstFrameOption,
     FpsOption,
     JsonOption,
+    KeyframesOption,
     OverwriteOption,
     PairOption,
     QualityOption,
@@ -63,8 +64,11 @@ def bcs_masks(
     rule: RuleOption = Rule.WIDER,
     every: Annotated[
         int | None,
-        typer.Option("--every", min=1, metavar="N", help="Take every N-th frame; 25 by default."),
+        typer.Option(
+            "--every", min=1, metavar="N", help="Take every N-th frame; with --keyframes, N or more apart. Default 25."
+        ),
     ] = None,
+    keyframes: KeyframesOption = False,
     pair: PairOption = Pair.VP2_VP3,
     size: SceneSizeOption = None,
     region: Annotated[
@@ -144,6 +148,7 @@ def bcs_masks(
             settings,
             region=region,
             every=every or manifest["labels"]["every"],
+            keyframes=keyframes,
             limit=limit,
             per_shard=per_shard,
             codec=ImageCodec(quality or None),

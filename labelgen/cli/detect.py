@@ -15,6 +15,7 @@ from labelgen.cli.options import (
     DeinterlaceOption,
     FpsOption,
     JsonOption,
+    KeyframesOption,
     OverwriteOption,
     RoadMaskOption,
     StreamOption,
@@ -28,6 +29,7 @@ from labelgen.progress import progress_bar
 if TYPE_CHECKING:
     from detector.inference import Detector
     from labelgen.datasets.scene import Scene
+    from labelgen.media.frame_choice import FrameChoice
 
 __all__ = ["detect"]
 
@@ -41,7 +43,11 @@ def detect(
     calibration: CalibrationOption = None,
     road_mask: RoadMaskOption = None,
     score: Annotated[float, typer.Option("--score", min=0.0, max=1.0, help="Least score of a detection.")] = 0.5,
-    every: Annotated[int, typer.Option("--every", min=1, metavar="N", help="Take every N-th frame.")] = 1,
+    every: Annotated[
+        int,
+        typer.Option("--every", min=1, metavar="N", help="Take every N-th frame; with --keyframes, N or more apart."),
+    ] = 1,
+    keyframes: KeyframesOption = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, metavar="N", help="Stop after N pictures.")] = None,
     fps: FpsOption = None,
     stream: StreamOption = None,
@@ -60,6 +66,7 @@ def detect(
     from labelgen.atomic_files import make_folder
     from labelgen.datasets.scene import find_scene
     from labelgen.errors import NoVehiclesError, OutputError
+    from labelgen.media.frame_choice import FrameChoice
 
     detector = load_detector(checkpoint, score=score, device=device)
     target = out / "detections.jsonl"
@@ -75,7 +82,7 @@ def detect(
             scene = find_scene(
                 source, calibration=calibration, road_mask=road_mask, fps=fps, stream=stream, deinterlace=deinterlace
             ).open()
-            lines = _of_frames(detector, scene, every, limit, problems)
+            lines = _of_frames(detector, scene, FrameChoice(every, keyframes, limit), problems)
         stack.enter_context(closing(lines))  # type: ignore[type-var]
         first = next(lines)  # finds out what is wrong before anything is written
         make_folder(out)
@@ -116,22 +123,22 @@ def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | 
     return count, total
 
 
-def _of_frames(detector: Detector, scene: Scene, every: int, limit: int | None, problems: list[str]) -> Iterator[_Line]:
+def _of_frames(detector: Detector, scene: Scene, choice: FrameChoice, problems: list[str]) -> Iterator[_Line]:
     """Yield the lines of a video or folder; append what was assumed or skipped to `problems`, whatever ends it."""
-    from itertools import islice
-
     from detector.speed.annotate import draw_detections
     from detector.speed.detection_file import detections_head
     from detector.speed.model_detections import DetectorDetections, model_view
+    from labelgen.media.prefetch import prefetch
+    from labelgen.media.sparse_frames import sparse_frames
 
     untimed = f"{scene.frames.untimed}: the detections have no times" if scene.frames.untimed else ""
     view = model_view(detector.metadata, scene.camera, scene.road)
     model = DetectorDetections(detector, view)
     yield detections_head(view, scene.frames.fps or scene.fps), 0, None
-    coming = scene.frames.frames(lambda number: number % every == 0)
+    coming = prefetch(sparse_frames(scene.frames, choice), detector.batch_size)
     try:
         with closing(coming):  # type: ignore[type-var]
-            for frame, detections in model.detections(islice(coming, limit)):
+            for frame, detections in model.detections(coming):
                 text = json.dumps(detections.to_dict()) + "\n"
                 yield (
                     text,

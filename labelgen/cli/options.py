@@ -32,6 +32,7 @@ __all__ = [
     "FpsOption",
     "Heading",
     "JsonOption",
+    "KeyframesOption",
     "OverwriteOption",
     "PairOption",
     "QualityOption",
@@ -137,6 +138,10 @@ TilesOption = Annotated[
         help="Parts of the frame that a network of masks onnx:FILE sees enlarged: auto, for distant vehicles by the "
         "calibration; or columns and rows, as 3x2.",
     ),
+]
+KeyframesOption = Annotated[
+    bool,
+    typer.Option("--keyframes", help="Take only frames that decode alone: much faster, at places the camera chose."),
 ]
 FpsOption = Annotated[
     float | None,

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from labelgen.datasets.scene import SceneFiles
 from labelgen.errors import DataError
+from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.image_file import read_image
+from labelgen.media.sparse_frames import sparse_frames
 
 __all__ = ["read_picture"]
 
@@ -34,6 +36,6 @@ def read_picture(scene: SceneFiles, frame: int = 0) -> NDArray[np.uint8]:
         raise DataError(f"{scene.name}: frame {frame} needs its video, which is not there; frame 0 is its empty road")
     if scene.frames_path is None:
         raise DataError(f"{scene.name}: it has neither a video nor a picture of the empty road")
-    for wanted in scene.open_frames().frames(lambda n: n == frame):
+    for wanted in sparse_frames(scene.open_frames(), FrameChoice(wanted=frame.__eq__, limit=frame + 1)):
         return wanted.image
     raise DataError(f"{scene.frames_path}: it has no frame {frame}")

@@ -7,7 +7,7 @@ import json
 import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from labelgen.masks import (
     parse_masks,
     prime_masks,
 )
+from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import Frame
 from labelgen.media.image_folder import ImageFolder
 from labelgen.shards import Reject, ShardReader, ShardWriter
@@ -45,6 +46,9 @@ from labelgen.shards.rejects import INPUT_PROBLEM
 __all__ = ["MaskSettings", "VideoUnit", "video_job"]
 
 _log = logging.getLogger(__name__)
+
+# Frames that are decoded ahead of the masks; each is kept in full.
+_FRAMES_AHEAD = 4
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,7 @@ def video_job(
     *,
     region: Region = Region.ROAD,
     every: int = 25,
+    keyframes: bool = False,
     limit: int | None = None,
     per_shard: int = 500,
     codec: ImageCodec | None = None,
@@ -119,7 +124,8 @@ def video_job(
         size_wh: size of the rectified frames, px.
         settings: the mask source, and how masks become labels.
         region: what is rectified.
-        every: label every so many-th frame.
+        every: label every so many-th frame; with `keyframes`, the least number of frames from one to the next.
+        keyframes: label only frames that decode alone.
         limit: largest number of frames to label in each video; None for all.
         per_shard: number of labelled frames in a shard, with or without vehicles.
         codec: encoding of the images; JPEG of quality 95 by default.
@@ -130,6 +136,8 @@ def video_job(
     codec = codec or ImageCodec()
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     # Only where they are given, so that other shards stay as they are.
+    if keyframes:
+        common["keyframes"] = True
     for key in ("given_fps", "stream"):
         values = {getattr(files, key) for files in scenes} - {None}
         if values:
@@ -142,14 +150,18 @@ def video_job(
     for number, files in enumerate(_with_distinct_names(scenes)):
         prefix = "shard" if len(scenes) == 1 else f"shard-{number:03d}-{files.name}"
         scene = files.open()
-        size = _taken(scene.frames.frame_count, every, limit)
-        unit = VideoUnit(files, pair, size_wh, region, settings, every, limit, per_shard, codec, common, prefix, size)
+        choice = FrameChoice(every, keyframes, limit)
+        size = None if keyframes else _taken(scene.frames.frame_count, every, limit)
+        unit = VideoUnit(files, pair, size_wh, region, settings, choice, per_shard, codec, common, prefix, size)
         for note in scene.frames.notes:
             _log.info("%s: %s", files.name, note)
         unit.rectification(scene)
         # Masks made before are looked up for each video; other sources are the same for all.
         if number == 0 or settings.is_made_before:
-            problem = _no_masks(unit.mask_source(scene))
+            source = unit.mask_source(scene)
+            if keyframes:
+                _check_keyframes(source, settings.masks)
+            problem = _no_masks(source)
             reasons += [problem] if problem else []
         units.append(unit)
         used = (scene.frames.path, files.calibration_path, files.mask_path)
@@ -165,6 +177,19 @@ def video_job(
         **common,
     }
     return Job("bcs-masks", job_settings, inputs, units, originals)
+
+
+def _check_keyframes(source: MaskSource, masks: str) -> None:
+    """Refuse key frames only for a source that needs the frames in between.
+
+    Raises:
+        LabelgenError: it does.
+    """
+    if source.every_frame:
+        raise LabelgenError(
+            f"keyframes: masks {masks} learn from all frames, so these must be decoded in any case; leave it out",
+            parameter="keyframes",
+        )
 
 
 def _no_masks(source: MaskSource) -> NoVehiclesError | None:
@@ -232,8 +257,7 @@ class VideoUnit:
         size_wh: size of the rectified frames, px.
         region: what is rectified.
         masks: the mask source, and how masks become labels.
-        every: every so many-th frame is labelled.
-        limit: largest number of labelled frames; None for all.
+        choice: which frames are labelled.
         per_shard: number of labelled frames in a shard.
         codec: encoding of the images.
         settings: what decides the labels, for the shards.
@@ -246,8 +270,7 @@ class VideoUnit:
     size_wh: tuple[int, int]
     region: Region
     masks: MaskSettings
-    every: int
-    limit: int | None
+    choice: FrameChoice
     per_shard: int
     codec: ImageCodec
     settings: Mapping[str, Any]
@@ -288,7 +311,8 @@ class VideoUnit:
             road_mask=scene.road.pixels,
             device=self.masks.device,
             frame_wh=scene.frames.size_wh,
-            clip=Clip.of(scene.frames, every=self.every),
+            # Which frames are key frames is not known before the video is read.
+            clip=Clip.of(scene.frames, every=1 if self.choice.keyframes else self.choice.every),
             camera=scene.camera,
             options=self.masks.options,
         )
@@ -322,20 +346,19 @@ class VideoUnit:
         frames, rectification, source = scene.frames, self.rectification(scene), self.mask_source(scene)
         finished = len(self._finished_shards(out))
         prime_masks(source, frames)
+        first = finished * self._part_frames  # the frames before are in finished shards
+        if self.size is not None:
+            progress(min(self.size, finished * self.per_shard))
+        choice = replace(self.choice, wanted=lambda number: number >= first)
         with ExitStack() as stack:
             writer = stack.enter_context(self._writer(out, finished))
-            first = finished * self.per_shard * self.every  # the frames before are in finished shards
-            for frame, masks in masked_frames(
-                frames, source, self._takes, lambda number: number >= first, self._part_of
-            ):
-                progress(1)
-                while self._part_of(frame.number) > writer.part:
-                    stack.close()
-                    writer = stack.enter_context(self._writer(out, writer.part + 1))
-                if masks is not None:
+            with closing(masked_frames(frames, source, choice, self._part_of, ahead=_FRAMES_AHEAD)) as coming:
+                for frame, masks in coming:
+                    progress(1)
+                    while self._part_of(frame.number) > writer.part:
+                        stack.close()
+                        writer = stack.enter_context(self._writer(out, writer.part + 1))
                     self._label(frame, masks, scene, rectification, writer)
-                if self.limit is not None and frame.number >= (self.limit - 1) * self.every:
-                    break
             writer.last = True
             lost = _no_masks(source)
             for problem in [
@@ -371,11 +394,13 @@ class VideoUnit:
             )
         )
 
-    def _part_of(self, number: int) -> int:
-        return number // (self.per_shard * self.every)
+    @property
+    def _part_frames(self) -> int:
+        """Number of frames of the video in which a shard's frames lie."""
+        return self.per_shard * self.choice.every
 
-    def _takes(self, number: int) -> bool:
-        return number % self.every == 0
+    def _part_of(self, number: int) -> int:
+        return number // self._part_frames
 
     def _writer(self, out: Path, part: int) -> ShardWriter:
         path = self._path(out, part)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 from enum import StrEnum
 from itertools import takewhile
 from pathlib import Path
@@ -13,7 +14,10 @@ from numpy.typing import NDArray
 
 from labelgen.errors import DataError, LabelgenError, NoVehiclesError
 from labelgen.masks.instances import InstanceMasks
+from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import Frame, FrameSource
+from labelgen.media.prefetch import prefetch
+from labelgen.media.sparse_frames import sparse_frames
 
 __all__ = [
     "MaskKind",
@@ -196,39 +200,52 @@ def prime_masks(source: MaskSource, frames: FrameSource) -> None:
 def masked_frames(
     frames: FrameSource,
     source: MaskSource,
-    taken: Callable[[int], bool],
-    asked: Callable[[int], bool] = lambda number: True,
+    choice: FrameChoice,
     group_of: Callable[[int], int] = lambda number: 0,
-) -> Iterator[tuple[Frame, InstanceMasks | None]]:
-    """Yield the taken frames with their masks, in order; pass to the source what it observes on the way.
+    *,
+    ahead: int = 0,
+) -> Generator[tuple[Frame, InstanceMasks]]:
+    """Yield the chosen frames with their masks, in order; pass to the source what it observes on the way.
+
+    Frames that are neither chosen nor observed are decoded only where others refer to them.
 
     Args:
         frames: the video.
         source: primed before, see `prime_masks`.
-        taken: whether to yield the frame of this number.
-        asked: whether to find the masks of a taken frame; it is yielded with None otherwise.
+        choice: which frames; not only key frames where the source observes.
         group_of: group of a frame number. Frames of different groups never share a call of `MaskSource.masks`, so that
-            the masks of a group do not depend on whether earlier groups were asked for.
+            the masks of a group do not depend on whether earlier groups were wanted.
+        ahead: number of frames to decode ahead, in a thread; 0 for none, where the source does that itself.
     """
-    stride = source.every_frame
+    stride, chooser = source.every_frame, choice.begin()
+    chosen: set[int] = set()
+
+    def is_needed(number: int) -> bool:
+        if chooser.takes(number, True):
+            chosen.add(number)
+        return number in chosen or number % stride == 0
+
+    coming = frames.frames(is_needed) if stride else sparse_frames(frames, choice)
     batch: list[Frame] = []
-    for frame in frames.frames(lambda number: taken(number) or bool(stride and number % stride == 0)):
-        if stride and frame.number % stride == 0:
-            source.observe(frame.image)
-        if not taken(frame.number):
-            continue
-        if not asked(frame.number):
-            yield from _find_masks(source, batch)
-            batch = []
-            yield frame, None
-            continue
-        if batch and group_of(batch[0].number) != group_of(frame.number):
-            yield from _find_masks(source, batch)
-            batch = []
-        batch.append(frame)
-        if len(batch) >= source.batch_size:
-            yield from _find_masks(source, batch)
-            batch = []
+    with closing(prefetch(coming, ahead) if ahead else coming) as read:  # type: ignore[type-var]
+        for frame in read:
+            if stride and frame.number % stride == 0:
+                source.observe(frame.image)
+            is_last = bool(stride) and chooser.is_over and frame.number >= chooser.last
+            if stride and frame.number not in chosen:
+                if is_last:
+                    break
+                continue
+            chosen.discard(frame.number)
+            if batch and group_of(batch[0].number) != group_of(frame.number):
+                yield from _find_masks(source, batch)
+                batch = []
+            batch.append(frame)
+            if len(batch) >= source.batch_size:
+                yield from _find_masks(source, batch)
+                batch = []
+            if is_last:
+                break
     yield from _find_masks(source, batch)
 
 

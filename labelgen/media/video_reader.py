@@ -27,9 +27,12 @@ from labelgen.media.container.file_stamps import ClockCarry, FileStamps
 from labelgen.media.container.frame_clock import FrameClock, TimedItem
 from labelgen.media.container.frame_geometry import FrameGeometry
 from labelgen.media.container.keyframe_seek import KeyframeSeek
+from labelgen.media.container.lost_frames import LostFrames
+from labelgen.media.container.pass_state import PassState, ProblemCounts
+from labelgen.media.container.sparse_decoding import NotSparseError, SparseDecoder, can_be_sparse
 from labelgen.media.container.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
+from labelgen.media.frame_choice import FrameChoice, FrameChooser
 from labelgen.media.frames import Frame, LazyFrame, always, downscale
-from labelgen.problem_counts import count_of
 
 __all__ = ["VideoFile"]
 
@@ -39,8 +42,6 @@ _OPEN_OPTIONS = {
     "protocol_whitelist": "file",
     "format_whitelist": ",".join(sorted(av.formats_available - _NOT_A_VIDEO)),
 }
-# A frame count computed from duration times rate may be off by this many frames, or by this share of them.
-_COUNT_SLACK = (3, 0.02)
 # Pixel formats whose first plane is luma in bytes, from 16 to 235 unless the stream declares full range.
 _LUMA_FORMATS = {f"yuv{full}{rate}p" for full in ("", "j") for rate in (420, 422, 444)} | {"nv12"}
 _FULL_RANGE = 2
@@ -123,43 +124,105 @@ class VideoFile:
                 convert, read_grey = partial(self._image, decoded, reformatter), partial(self._grey, decoded)
                 yield LazyFrame(number, time_s, convert, read_grey, gaps_s)
 
-    def _pass(self, seek: KeyframeSeek | None) -> Iterator[TimedItem[Any]]:
-        """Yield the decoder's frames of one pass over the file, with number and time."""
+    def sparse_frames(self, choice: FrameChoice) -> Iterator[Frame]:
+        """Yield the chosen frames without decoding more than they need; see `labelgen.media.sparse_frames`.
+
+        Where packets do not say which frames there are, and from the first damage on, all frames are decoded.
+        """
+        reformatter = av.video.reformatter.VideoReformatter()
+        for number, time_s, gaps_s, decoded in self._pass(None, choice):
+            if decoded is not None:
+                yield Frame(number, time_s, self._image(decoded, reformatter), "", gaps_s)
+
+    def _pass(self, seek: KeyframeSeek | None, choice: FrameChoice | None = None) -> Iterator[TimedItem[Any]]:
+        """Yield the decoder's frames of one pass over the file, with number and time.
+
+        Args:
+            seek: skips packets by time; None for none.
+            choice: which frames are wanted. Of the other ones, not all of which are decoded, number and time are
+                yielded. None for all.
+        """
         self.problems = []
-        counts = _ProblemCounts()
         clock = FrameClock(1 / self.fps if self.fps else None)
-        carry = ClockCarry(self._stamps.base_s or 1.0, 1 / self.fps if self.fps else 0.04)
-        last, finished = -1, False
+        state = PassState()
+        unwanted: set[int] = set()
+
+        def shown() -> Iterator[tuple[int, float, Any]]:
+            nonlocal state
+            if choice is None:
+                yield from self._shown(state, self._in_sequence(state, seek))
+                return
+            begun, chooser = -1, choice.begin()
+            if self._stamps.are_times and not self._deinterlace:
+                with contextlib.suppress(NotSparseError):
+                    yield from self._shown(state, self._sparse(state, chooser))
+                    state.is_finished = not chooser.is_over
+                    return
+                begun, chooser, state = state.last, choice.begin(), PassState()
+            for number, time_s, decoded in self._shown(state, self._in_sequence(state, None)):
+                is_last = chooser.is_over  # one frame later than the last wanted one, whose time may depend on it
+                if not chooser.takes(number, bool(decoded.key_frame)):
+                    unwanted.add(number)
+                if number > begun:
+                    yield number, time_s, decoded
+                if is_last:
+                    return
+
+        try:
+            if self._stamps.are_times:
+                items = clock.timed(shown())
+            else:
+                items = (TimedItem(number, time_s, 0.0, frame) for number, time_s, frame in shown())
+            for item in deinterlaced(items) if self._deinterlace else items:
+                yield item._replace(item=None) if item.number in unwanted else item
+                unwanted.discard(item.number)
+        finally:
+            self.problems = [*clock.problems(), *(state.carry.problems() if state.carry is not None else ())]
+            # With gaps and jumps in the stamps a number computed from the duration means nothing.
+            known = state.is_finished and (self.count_is_exact or not self.problems)
+            announced = self.frame_count if known else None
+            self.problems[:0] = state.counts.problems(state.last + 1, announced, self.count_is_exact, self.size_wh)
+
+    def _shown(
+        self, state: PassState, frames: Iterator[tuple[int, int | None, Any]]
+    ) -> Iterator[tuple[int, float, Any]]:
+        """Yield number, time and picture of frames that have the right size, or no picture."""
+        for number, pts, decoded in frames:
+            state.last = number
+            if decoded is not None and (decoded.width, decoded.height) != self._coded_wh:
+                state.counts.other_size(number, (decoded.width, decoded.height))
+            else:
+                yield number, self._stamps.time_s(pts, number), decoded
+        state.is_finished = True
+
+    def _in_sequence(self, state: PassState, seek: KeyframeSeek | None) -> Iterator[tuple[int, int | None, Any]]:
         with self._open() as container:
             stream = self._stream(container)
+            packets = self._packets(container, stream, state)
+            if seek is not None:
+                packets = seek.needed(packets, lambda packet: self._stamps.since_start_s(packet.pts))
+            lost = LostFrames()
+            if self._stamps.are_times and can_be_sparse(stream):
+                packets = lost.noted(packets)
+            for count, decoded in enumerate(self._decode(packets, stream, state.counts)):
+                if seek is None or not seek.is_leading(decoded.pts):
+                    count += lost.count(decoded.pts, is_damaged=state.counts.has_damage)
+                    yield count + (seek.skipped_packets if seek is not None else 0), decoded.pts, decoded
 
-            def decoded_frames() -> Iterator[tuple[int, float, Any]]:
-                nonlocal last, finished
-                packets = container.demux(stream)
-                if self._stamps.are_times:
-                    packets = carry.carried(packets)
-                if seek is not None:
-                    packets = seek.needed(packets, lambda packet: self._stamps.since_start_s(packet.pts))
-                for count, decoded in enumerate(self._decode(packets, stream, counts)):
-                    last = number = count + (seek.skipped_packets if seek is not None else 0)
-                    if (decoded.width, decoded.height) != self._coded_wh:
-                        counts.other_size(number, (decoded.width, decoded.height))
-                    elif seek is None or not seek.is_leading(decoded.pts):
-                        yield number, self._stamps.time_s(decoded.pts, number), decoded
-                finished = True
+    def _sparse(self, state: PassState, chooser: FrameChooser) -> Iterator[tuple[int, int, Any]]:
+        with self._open() as container:
+            stream = self._stream(container)
+            if not can_be_sparse(stream):
+                raise NotSparseError
+            packets = _until_broken(self._packets(container, stream, state), state.counts)
+            yield from SparseDecoder(stream.codec_context, chooser).frames(packets)
 
-            try:
-                if self._stamps.are_times:
-                    items = clock.timed(decoded_frames())
-                else:
-                    items = (TimedItem(number, time_s, 0.0, frame) for number, time_s, frame in decoded_frames())
-                yield from deinterlaced(items) if self._deinterlace else items
-            finally:
-                self.problems = [*clock.problems(), *carry.problems()]
-                # With gaps and jumps in the stamps a number computed from the duration means nothing.
-                known = finished and (self.count_is_exact or not self.problems)
-                announced = self.frame_count if known else None
-                self.problems[:0] = counts.problems(last + 1, announced, self.count_is_exact, self.size_wh)
+    def _packets(self, container: Any, stream: Any, state: PassState) -> Iterator[Any]:
+        packets: Iterator[Any] = container.demux(stream)
+        if self._stamps.are_times:
+            state.carry = ClockCarry(self._stamps.base_s or 1.0, 1 / self.fps if self.fps else 0.04)
+            packets = state.carry.carried(packets)
+        return packets
 
     def _probe(self, container: Any, stream: Any) -> tuple[Any, list[int]]:
         """Return the first frame that can be decoded, and the stamps of the first packets."""
@@ -172,7 +235,7 @@ class VideoFile:
                 yield packet
 
         packets = noted()
-        first = next(self._decode(packets, stream, _ProblemCounts()), None)
+        first = next(self._decode(packets, stream, ProblemCounts()), None)
         if first is None:
             raise DataError(f"{self.path}: no frame of it can be decoded; the file is damaged or cut off")
         with contextlib.suppress(FFmpegError, EOFError):
@@ -210,7 +273,7 @@ class VideoFile:
         stream.codec_context.thread_count = self._threads
         return stream
 
-    def _decode(self, packets: Iterator[Any], stream: Any, counts: _ProblemCounts) -> Iterator[Any]:
+    def _decode(self, packets: Iterator[Any], stream: Any, counts: ProblemCounts) -> Iterator[Any]:
         """Yield frames as FFmpeg decodes them; count damaged packets and a broken end."""
         frame_count = 0
         while True:
@@ -252,55 +315,12 @@ class VideoFile:
         return grey if self._geometry.resamples else self._geometry.apply(grey)
 
 
-class _ProblemCounts:
-    """Counts of what went wrong in one pass over a file."""
-
-    def __init__(self) -> None:
-        self.end: str | None = None
-        self._packets = self._frames = self._sizes = 0
-        self._first_packet = self._first_frame = self._first_size = 0
-        self._other_wh = (0, 0)
-
-    def damaged_packet(self, number: int) -> None:
-        self._first_packet = self._first_packet if self._packets else number
-        self._packets += 1
-
-    def damaged_frame(self, number: int, damaged: bool) -> None:
-        if damaged:
-            self._first_frame = self._first_frame if self._frames else number
-            self._frames += 1
-
-    def other_size(self, number: int, size_wh: tuple[int, int]) -> None:
-        if not self._sizes:
-            self._first_size, self._other_wh = number, size_wh
-        self._sizes += 1
-
-    def problems(self, count: int, announced: int | None, exact: bool, size_wh: tuple[int, int]) -> list[str]:
-        """Describe each kind of problem in one line, given how many frames came and how many were announced."""
-        lines = []
-        if announced is not None:
-            slack = 0 if exact else max(_COUNT_SLACK[0], int(announced * _COUNT_SLACK[1]))
-            # Damaged packets are reported below; they are no sign that the file is truncated.
-            if count + self._packets < announced - slack:
-                about = "" if exact else "about "
-                lines.append(
-                    f"ended after {count} of {about}{announced} announced frames: the file is truncated or damaged"
-                )
-        if self.end is not None:
-            lines.append(f"reading stopped after frame {count - 1}: {self.end.lower()}")
-        if self._packets:
-            lines.append(f"{count_of(self._packets, 'damaged packet')} skipped (first near frame {self._first_packet})")
-        if self._frames:
-            lines.append(
-                f"{count_of(self._frames, 'frame')} decoded with errors, kept (first: frame {self._first_frame})"
-            )
-        if self._sizes:
-            new, old = ("{}x{}".format(*wh) for wh in (self._other_wh, size_wh))
-            lines.append(
-                f"{count_of(self._sizes, 'frame')} of another size skipped (first: frame {self._first_size}, "
-                f"{new} instead of {old})"
-            )
-        return lines
+def _until_broken(packets: Iterator[Any], counts: ProblemCounts) -> Iterator[Any]:
+    """Yield packets up to where the file cannot be read, which is counted."""
+    try:
+        yield from packets
+    except (FFmpegError, EOFError) as error:
+        counts.end = getattr(error, "strerror", None) or "unreadable data"
 
 
 def _announced(stream: Any, container: Any, fps: float | None) -> tuple[int | None, bool]:

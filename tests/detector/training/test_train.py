@@ -331,7 +331,7 @@ def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Pa
     lines = [json.loads(line) for line in (tmp_path / "a" / "detections.jsonl").read_text().splitlines()]
     assert [line["sample"] for line in lines[1:]] == list(range(8))
     assert len(list((tmp_path / "a" / "pictures").iterdir())) == 8
-    clip = write_clip(tmp_path / "clip", 6, coco=False)
+    clip = write_clip(tmp_path / "clip", 14, coco=False)
     result = labelgen(
         "detect",
         trained / "last.ckpt",
@@ -356,6 +356,13 @@ def test_detecting_in_shards_and_videos(labelgen: Run, trained: Path, shards: Pa
     from clips import CAMERA
 
     assert [detections.frame for detections in file.frames(file.view(CAMERA))] == [0, 1, 2, 3]
+    keys = labelgen(
+        "detect", trained / "last.ckpt", clip, "--out", "k", "--score", 0.0, "--keyframes", "--device", "cpu",
+        **ONE_THREAD,
+    )  # fmt: skip
+    assert keys.returncode == 0, keys.stderr
+    lines = [json.loads(line) for line in (tmp_path / "k" / "detections.jsonl").read_text().splitlines()]
+    assert [line["frame"] for line in lines[1:]] == [0, 12]
     none = labelgen(
         "detect", trained / "last.ckpt", clip, "--out", "c", "--score", 1.0, "--limit", 2, "--json", "c.json",
         "--device", "cpu", **ONE_THREAD,
