@@ -1,0 +1,95 @@
+"""Settings of the fit of vehicle bodies to masks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labelgen.geometry.homography import Array
+
+__all__ = ["EXACT_MASKS", "NETWORK_MASKS", "SILHOUETTE_MASKS", "BodyFitSettings", "MaskErrors"]
+
+
+@dataclass(frozen=True)
+class MaskErrors:
+    """What masks of one kind add to vehicles or lack: mean and standard deviation.
+
+    Args:
+        outline_px: standard deviation of an outline's reach, px.
+        outline_share: the part of it that grows with the mask, as a share of its size.
+        swelling: how far masks reach beyond vehicles in all directions, px.
+        shadow: how far they reach below, as a share of their size.
+    """
+
+    outline_px: float
+    outline_share: float
+    swelling: tuple[float, float]
+    shadow: tuple[float, float]
+
+
+EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25), (0.0, 0.002))
+"""Masks drawn by hand or rendered."""
+NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 1.0), (0.0, 0.01))
+"""Masks of a segmentation network: coarse, without shadows."""
+SILHOUETTE_MASKS = MaskErrors(0.7, 0.015, (0.3, 0.7), (0.03, 0.035))
+"""Masks of the background model: with some of the shadow beneath the vehicle."""
+
+
+@dataclass(frozen=True)
+class BodyFitSettings:
+    """How bodies are fitted to outlines."""
+
+    directions: int = 36
+    """Directions, evenly spread in the image, in which outlines are compared; more cost time."""
+    independent_directions: float = 14.0
+    """Independent measurements that all directions together count as: errors of neighbouring ones are alike."""
+    shared_error_power: float = 0.7
+    """Errors of a body's form are alike in all sightings: their variance grows with this power of their number."""
+    robust: float = 1.5
+    """Residual, in standard deviations, at which a direction has half its weight."""
+    heading_sd: float = 0.01
+    """Standard deviation of a vehicle's direction around VP1's, radians."""
+    path_sd_m: tuple[float, float] = (0.6, 0.2)
+    """Standard deviations of a sighting's place from the vehicle's steady path, along and across the road, metres."""
+    path_robust: float = 1.5
+    """Distance from the path, in standard deviations, at which a sighting has half its weight in it."""
+    shadow_power: int = 12
+    """Power of the downward component of a direction with which a shadow's reach falls off."""
+    hidden_cost: float = 8.0
+    """What must be saved by taking one side of a vehicle for hidden."""
+    side_angle: float = 1.0
+    """Half the angle of directions that belong to a side, radians."""
+    first_steps: int = 6
+    """Steps of all hypotheses."""
+    last_steps: int = 8
+    """Steps of those that are left."""
+    margin: float = 6.0
+    """Hypotheses that cost so much more than the best after the first steps are dropped."""
+    max_log_step: float = 0.2
+    """Largest change of a size's logarithm per step."""
+    max_move_m: float = 4.0
+    """Largest change of a place per step and axis, metres."""
+    max_turn: float = 0.05
+    """Largest change of a direction per step, radians."""
+
+    @property
+    def direction_weight(self) -> float:
+        """Weight of each direction."""
+        return self.independent_directions / self.directions
+
+    @cached_property
+    def sides(self) -> NDArray[np.bool_]:
+        """(8, M) which directions belong to each of eight sides."""
+        vectors = self.direction_vectors
+        angles = np.pi / 4 * np.arange(8)
+        middle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.asarray(middle @ vectors.T >= np.cos(self.side_angle))
+
+    @cached_property
+    def direction_vectors(self) -> Array:
+        """(M, 2) unit vectors x, y in the image, y down."""
+        angles = 2 * np.pi * np.arange(self.directions) / self.directions
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
