@@ -84,7 +84,9 @@ class BodyForms:
     forms: tuple[BodyForm, ...]
     table: NDArray[np.float32]
 
-    def support(self, family: NDArray[np.int64], directions: ArrayLike, weights: ArrayLike) -> tuple[Array, Array, Array]:
+    def support(
+        self, family: NDArray[np.int64], directions: ArrayLike, weights: ArrayLike
+    ) -> tuple[Array, Array, Array]:
         """Return how far unit bodies reach.
 
         Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labelgen.geometry.body_forms import MODES, BodyForms, load_body_forms
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array
-from labelgen.labeling.fitted.hypotheses import SHARED, BodyFit, Priors, start_fit
+from labelgen.labeling.fitted.hypotheses import BodyFit, Priors, start_fit
 from labelgen.labeling.fitted.outlines import Outlines
 from labelgen.labeling.fitted.path import expected_path
 from labelgen.labeling.fitted.residuals import Residuals, compare
@@ -35,7 +35,8 @@ class FittedBodies:
         place: (R, 2) metres on the road, of the body's middle.
         heading: (R,) radians.
         covariance: (R, 6, 6) of place, heading and the logarithm of the size.
-        miss: (R, M) measured minus predicted reach in each direction, in standard deviations.
+        reach_px: (R, M) how far the body reaches in the image in each direction.
+        strain: (R,) how unusual the vehicle's size is: its distance from the family's mean in standard deviations.
         cost: (R,) half the robust sum of squares of the sighting.
         found: (R,) bool; False where no body could be placed.
     """
@@ -46,9 +47,21 @@ class FittedBodies:
     place: Array
     heading: Array
     covariance: Array
-    miss: Array
+    reach_px: Array
+    strain: Array
     cost: Array
     found: NDArray[np.bool_]
+
+    @classmethod
+    def scattered(cls, parts: Sequence[tuple[NDArray[np.int64], FittedBodies]], count: int) -> FittedBodies:
+        """Return the bodies of `count` outlines from those of parts of them, each with its outlines' numbers."""
+        arrays = {}
+        for f in fields(cls):
+            first = getattr(parts[0][1], f.name)
+            arrays[f.name] = np.zeros((count, *first.shape[1:]), dtype=first.dtype)
+            for rows, part in parts:
+                arrays[f.name][rows] = getattr(part, f.name)
+        return cls(**arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +141,13 @@ def _steps(fit: BodyFit, priors: Priors, problem: _Problem, steps: int) -> BodyF
     limits = np.concatenate([np.full(3, settings.max_log_step), np.full(MODES, _MAX_MODE_STEP), _MAX_OTHER_STEP])
     moves = np.array([settings.max_move_m, settings.max_move_m, settings.max_turn])
     for _ in range(steps):
-        normal = _normal_equations(fit, priors, problem.residuals(fit), expected_path(fit, problem.times_s, settings), settings)
+        normal = _normal_equations(
+            fit, priors, problem.residuals(fit), expected_path(fit, problem.times_s, settings), settings
+        )
         change = np.clip(np.linalg.solve(normal.matrix, normal.pull[..., None])[..., 0], -limits, limits)
         own = normal.own_pull - (normal.back @ change[fit.hypothesis][..., None])[..., 0]
         own = np.clip(own, -moves, moves)
-        fit = replace(
-            fit, shared=fit.shared + change, place=fit.place + own[:, :2], heading=fit.heading + own[:, 2]
-        )
+        fit = replace(fit, shared=fit.shared + change, place=fit.place + own[:, :2], heading=fit.heading + own[:, 2])
     return fit
 
 
@@ -203,6 +216,8 @@ def _results(fit: BodyFit, priors: Priors, problem: _Problem) -> FittedBodies:
     covariance[:, :3, 3:] = -moved[..., :3]
     covariance[:, 3:, :3] = np.swapaxes(covariance[:, :3, 3:], -1, -2)
     covariance[:, 3:, 3:] = shared[:, :3, :3]
+    off = (fit.shared - priors.mean)[:, :3]
+    strain = np.sqrt((off[:, None] @ priors.precision[:, :3, :3] @ off[..., None])[:, 0, 0])
     count = len(problem.outlines)
     found = np.zeros(count, dtype=np.bool_)
     found[fit.outline] = True
@@ -219,7 +234,8 @@ def _results(fit: BodyFit, priors: Priors, problem: _Problem) -> FittedBodies:
         spread(fit.place),
         spread(fit.heading),
         spread(covariance),
-        spread(r.miss),
+        spread(problem.outlines.reach_px[fit.outline] - r.miss * r.error_px[:, None]),
+        spread(strain[p]),
         spread(r.costs),
         found,
     )

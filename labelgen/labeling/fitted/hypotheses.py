@@ -134,6 +134,4 @@ def start_fit(
     shared[:, 3 + MODES] = np.array([form.mirror_m[0] for form in forms.forms])[family]
     place = camera.road_points(outlines.bottoms_px[outline], invalid="nan")
     place[:, 0] += np.exp(shared[hypothesis, 0]) / 2
-    return BodyFit(
-        vehicle, family, sign.astype(np.float64), shared, outline, hypothesis, place, np.zeros(len(outline))
-    )
+    return BodyFit(vehicle, family, sign.astype(np.float64), shared, outline, hypothesis, place, np.zeros(len(outline)))

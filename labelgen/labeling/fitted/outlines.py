@@ -28,6 +28,7 @@ class Outlines:
             length that a metre along the normal at a depth of f is a pixel.
         sizes_px: (R,) square root of the area of the box around it.
         bottoms_px: (R, 2) middle of the box's lower side.
+        widths_px, heights_px: (R,) of the box.
         open: (R, M) bool, where the picture's border cuts the outline: the vehicle may reach farther.
     """
 
@@ -35,6 +36,8 @@ class Outlines:
     normals: Array
     sizes_px: Array
     bottoms_px: Array
+    widths_px: Array
+    heights_px: Array
     open: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -75,5 +78,7 @@ def measure_outlines(
         in_camera @ camera.axes.T,
         np.sqrt((high - low).prod(axis=1)),
         np.stack([(low[:, 0] + high[:, 0]) / 2, high[:, 1]], axis=1),
+        high[:, 0] - low[:, 0],
+        high[:, 1] - low[:, 1],
         beyond.any(axis=-1),
     )

@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from labelgen.geometry.homography import Array
 
-__all__ = ["EXACT_MASKS", "NETWORK_MASKS", "SILHOUETTE_MASKS", "BodyFitSettings", "MaskErrors"]
+__all__ = [
+    "BODY_FIT_SETTINGS",
+    "DRAWN_MASKS",
+    "EXACT_MASKS",
+    "NETWORK_MASKS",
+    "SILHOUETTE_MASKS",
+    "BodyFitSettings",
+    "MaskErrors",
+]
 
 
 @dataclass(frozen=True)
@@ -31,7 +39,9 @@ class MaskErrors:
 
 
 EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25), (0.0, 0.002))
-"""Masks drawn by hand or rendered."""
+"""Rendered masks."""
+DRAWN_MASKS = MaskErrors(0.5, 0.004, (0.0, 0.5), (0.0, 0.003))
+"""Masks that are no predictions: drawn by hand, or rendered."""
 NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 1.0), (0.0, 0.01))
 """Masks of a segmentation network: coarse, without shadows."""
 SILHOUETTE_MASKS = MaskErrors(0.7, 0.015, (0.3, 0.7), (0.03, 0.035))
@@ -68,6 +78,8 @@ class BodyFitSettings:
     """Steps of those that are left."""
     margin: float = 6.0
     """Hypotheses that cost so much more than the best after the first steps are dropped."""
+    sigma_scale: float = 1.0
+    """Factor of the stated standard deviations, by which they hold what they state on real cars' shapes."""
     max_log_step: float = 0.2
     """Largest change of a size's logarithm per step."""
     max_move_m: float = 4.0
@@ -93,3 +105,6 @@ class BodyFitSettings:
         """(M, 2) unit vectors x, y in the image, y down."""
         angles = 2 * np.pi * np.arange(self.directions) / self.directions
         return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+BODY_FIT_SETTINGS = BodyFitSettings()
