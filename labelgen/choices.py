@@ -65,12 +65,24 @@ class Region(Choice):
 
 
 class Rule(Choice):
-    """How the two candidates for c_c of a mask become one; see `labelgen.geometry.label_outlines`."""
+    """How masks become labels.
+
+    WIDER and CONDITIONED: from the box around the mask and the two candidates for c_c that its tangents give; see
+    `labelgen.geometry.label_outlines`. FITTED: from a body laid over the masks of a passage; see
+    `labelgen.labeling.label_passages`.
+    """
 
     WIDER = "wider"
     """The candidate that gives the larger 3D box (Kocur & Ftacnik 2020, section 3.4)."""
     CONDITIONED = "conditioned"
     """The mean of both, each weighted by how little a shift of its tangent moves it."""
+    FITTED = "fitted"
+    """The cuboid of a vehicle's body that explains its masks."""
+
+    @property
+    def is_of_tangents(self) -> bool:
+        """Whether labels come from a mask's tangents."""
+        return self is not Rule.FITTED
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -78,6 +78,10 @@ class MaskSpeedSettings:
 
     def __post_init__(self) -> None:
         check_masks_file(self.masks)
+        if not self.rule.is_of_tangents:
+            raise LabelgenError(
+                f"rule {self.rule}: it needs whole passages before a speed is measured; choose another", parameter="rule"
+            )
         if self.variant is Variant.DUBSKA and not self.from_background:
             raise LabelgenError(
                 "variant dubska: its vehicles are all that moves, so it takes background masks only; use maskrcnn3d "

@@ -140,6 +140,8 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
         options=MaskOptions.from_dict(options),
     )
     rule = Rule.parse(str(_setting(data, "rule", Rule.WIDER)))
+    if not rule.is_of_tangents:
+        raise DataError(f"labels by the rule {rule} come from whole passages, not from one mask's tangents")
     masks = _masks_of(original, sample.frame, frames, mask_source)
     for i in sorted(range(len(masks)), key=lambda i: -int(masks.crops[i].sum())):
         x, y = (int(v) for v in masks.origins[i])

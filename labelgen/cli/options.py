@@ -97,7 +97,7 @@ PairOption = Annotated[
     ),
 ]
 RuleOption = Annotated[
-    Rule, typer.Option("--rule", case_sensitive=False, help="How the two candidates of c_c become one.")
+    Rule, typer.Option("--rule", case_sensitive=False, help="How masks become labels.")
 ]
 CalibrationOption = Annotated[
     Path | None,

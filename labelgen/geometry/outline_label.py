@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labelgen.choices import Rule
+from labelgen.errors import LabelgenError
 from labelgen.geometry.homography import Array, bounding_boxes
 from labelgen.geometry.rectification import Rectification
 
@@ -165,9 +166,14 @@ def label_outlines(outlines: Sequence[RectifiedOutline], vpu: ArrayLike, rule: R
     Args:
         outlines: the N outlines.
         vpu: (2,) rectified px, the vanishing point that the rectification leaves finite.
-        rule: how the two candidates become one c_c.
+        rule: how the two candidates become one c_c; not `Rule.FITTED`.
+
+    Raises:
+        LabelgenError: a rule that does not rest on tangents.
     """
     rule = Rule(rule)
+    if not rule.is_of_tangents:
+        raise LabelgenError(f"rule {rule}: it needs the masks of whole passages; choose another", parameter="rule")
     u, v = (float(x) for x in np.asarray(vpu, dtype=np.float64))
     if not outlines:
         return MaskLabels(np.empty((0, 4)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,13 +19,13 @@ from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.scene import Scene, SceneFiles
 from labelgen.errors import LabelgenError, NoVehiclesError
 from labelgen.geometry.rectification import Rectification
+from labelgen.jobs.frame_labels import FrameLabeler, LabelledFrame, PassageLabeler, SingleFrameLabeler
 from labelgen.jobs.runner import Job, Progress, finished_part
-from labelgen.labeling.from_masks import LABEL_LIMITS, LabelLimits, flat_labels, label_masks
+from labelgen.labeling.screening import LABEL_LIMITS, LabelLimits
 from labelgen.labels import Sample
 from labelgen.masks import (
     MASK_OPTIONS,
     Clip,
-    InstanceMasks,
     MaskKind,
     MaskOptions,
     MaskSource,
@@ -49,6 +50,9 @@ _log = logging.getLogger(__name__)
 
 # Frames that are decoded ahead of the masks; each is kept in full.
 _FRAMES_AHEAD = 4
+_OVERLAP_S = 10.0
+"""Time before and after a shard whose masks its labels may rest on, seconds: longer than most passages."""
+_USUAL_FPS = 25.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class MaskSettings:
         masks: name of a mask source, see `labelgen.masks.parse_masks`.
         weights: state dict for Mask R-CNN; None for the COCO weights.
         score: least score of a mask, in [0, 1].
-        rule: how the two candidates become one c_c.
+        rule: how masks become labels.
         limits: thresholds for labels.
         device: torch device; None for the GPU where there is one.
         options: of the mask source, where it takes any.
@@ -349,16 +353,27 @@ class VideoUnit:
         first = finished * self._part_frames  # the frames before are in finished shards
         if self.size is not None:
             progress(min(self.size, finished * self.per_shard))
-        choice = replace(self.choice, wanted=lambda number: number >= first)
+        labeler = self._labeler(scene, rectification, first)
+        # Passages go on over the border of two shards.
+        asked = max(0, first - self._part_frames) if self.masks.rule is Rule.FITTED else first
+        choice = replace(self.choice, wanted=lambda number: number >= asked)
         with ExitStack() as stack:
             writer = stack.enter_context(self._writer(out, finished))
-            with closing(masked_frames(frames, source, choice, self._part_of, ahead=_FRAMES_AHEAD)) as coming:
-                for frame, masks in coming:
-                    progress(1)
+
+            def write(labelled: Iterable[LabelledFrame]) -> None:
+                nonlocal writer
+                for frame in labelled:
                     while self._part_of(frame.number) > writer.part:
                         stack.close()
                         writer = stack.enter_context(self._writer(out, writer.part + 1))
-                    self._label(frame, masks, scene, rectification, writer)
+                    self._write(frame, scene, rectification, writer)
+
+            with closing(masked_frames(frames, source, choice, self._part_of, ahead=_FRAMES_AHEAD)) as coming:
+                for frame, masks in coming:
+                    if frame.number >= first:
+                        progress(1)
+                    write(labeler.add(frame, masks))
+            write(labeler.finish())
             writer.last = True
             lost = _no_masks(source)
             for problem in [
@@ -370,27 +385,44 @@ class VideoUnit:
             ]:
                 writer.reject(Reject(self.files.name, -1, -1, INPUT_PROBLEM, problem))
 
-    def _label(
-        self, frame: Frame, masks: InstanceMasks, scene: Scene, rectification: Rectification, writer: ShardWriter
-    ) -> None:
-        name, road = self.files.name, scene.road.pixels
-        if self.region is Region.NONE:
-            labels, rejects, ignored = flat_labels(masks, rectification, road, self.masks.limits)
-        else:
-            labels, rejects, ignored = label_masks(
-                masks, rectification, scene.camera, road, self.masks.rule, self.masks.limits
-            )
+    def _labeler(self, scene: Scene, rectification: Rectification, first: int) -> FrameLabeler:
+        def encode(frame: Frame) -> bytes:
+            return self.codec.encode(rectification.warp_image(frame.image))
+
+        if self.masks.rule is not Rule.FITTED or self.region is Region.NONE:
+            return SingleFrameLabeler(scene, rectification, self.region, self.masks.rule, self.masks.limits, encode)
+        return PassageLabeler(
+            scene,
+            rectification,
+            self.masks.limits,
+            encode,
+            are_silhouettes=parse_masks(self.masks.masks).are_silhouettes,
+            part_frames=self._part_frames,
+            overlap=min(math.ceil(_OVERLAP_S * (scene.fps or _USUAL_FPS)), self._part_frames),
+            first=first,
+        )
+
+    def _write(self, frame: LabelledFrame, scene: Scene, rectification: Rectification, writer: ShardWriter) -> None:
+        name, (labels, rejects, ignored) = self.files.name, frame.given
         for item, reason, detail in rejects:
             writer.reject(Reject(name, frame.number, item, reason, detail))
         if not len(labels):
             writer.reject(Reject(name, frame.number, -1, "frame without a labelled vehicle"))
             return
-        encoded = self.codec.encode(rectification.warp_image(frame.image))
         window = np.array([0.0, 0.0, *scene.frames.size_wh])
         split = self.files.split_of(frame.number)
         writer.add(
             Sample(
-                encoded, labels, rectification, scene.camera, name, frame.number, frame.time_s, split, window, ignored
+                frame.encoded,
+                labels,
+                rectification,
+                scene.camera,
+                name,
+                frame.number,
+                frame.time_s,
+                split,
+                window,
+                ignored,
             )
         )
 

@@ -69,6 +69,11 @@ class MaskName(NamedTuple):
     is_gated: bool = False
 
     @property
+    def are_silhouettes(self) -> bool:
+        """Whether the outlines come from a background model."""
+        return self.is_gated or self.kind is MaskKind.BACKGROUND
+
+    @property
     def label(self) -> str:
         """The name without the file."""
         return f"{_GATED}:{self.kind}" if self.is_gated else str(self.kind)

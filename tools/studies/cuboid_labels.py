@@ -34,11 +34,14 @@ from labelgen.geometry import (
     road_cuboids,
 )
 
+TANGENT_RULES = tuple(rule for rule in Rule if rule.is_of_tangents)
+
 __all__ = [
     "SIZES",
     "Accuracy",
     "Row",
     "Scene",
+    "TANGENT_RULES",
     "SolidBoxes",
     "load_scenes",
     "main",
@@ -187,7 +190,7 @@ def measure(boxes: SolidBoxes, rect: Rectification, *, published: bool = False) 
     there = np.array([outline is not None for outline in outlines])
     found = [outline for outline in outlines if outline is not None]
     out = {}
-    for rule in Rule:
+    for rule in TANGENT_RULES:
         labels = label_outlines(found, rect.vpu, rule)
         keep = np.flatnonzero(there)[labels.valid]
         out[rule] = Accuracy(
@@ -266,11 +269,11 @@ def _table(header: list[str], rows: list[list[str]]) -> str:
 
 def _scene_table(rows: list[Row]) -> str:
     header = ["scene", "n", "no label"]
-    header += [f"{rule} {name}" for rule in Rule for name in ("median", "p95", "p99")] + ["box median", "box p99"]
+    header += [f"{rule} {name}" for rule in TANGENT_RULES for name in ("median", "p95", "p99")] + ["box median", "box p99"]
     body = []
     for row in rows:
         cells = [row.scene, str(len(row.boxes.cc)), str(row.boxes.unlabelled)]
-        for rule in Rule:
+        for rule in TANGENT_RULES:
             cells += _stats(row.accuracy[rule].cc, 4, 50, 95, 99)
         body.append(cells + _stats(row.accuracy[Rule.WIDER].box_px, 2, 50, 99))
     return _table(header, body)
@@ -281,7 +284,7 @@ def _summary_table(measured: dict[str, list[Row]]) -> str:
     for pair in Pair:
         for method, rows in measured.items():
             of_pair = [row for row in rows if row.pair is pair]
-            for rule in Rule:
+            for rule in TANGENT_RULES:
                 pooled = np.concatenate([row.accuracy[rule].cc for row in of_pair])
                 worst = max(float(np.percentile(row.accuracy[rule].cc, 99)) for row in of_pair)
                 kept = f"{sum(row.keeps_bound(rule) for row in of_pair)} of {len(of_pair)}"
@@ -306,7 +309,7 @@ def _verdict(measured: dict[str, list[Row]]) -> str:
     pooled = {
         (method, rule): np.concatenate([row.accuracy[rule].cc for row in rows])
         for method, rows in measured.items()
-        for rule in Rule
+        for rule in TANGENT_RULES
     }
     median = min(pooled, key=lambda key: float(np.median(pooled[key])))
     tail = min(pooled, key=lambda key: float(np.percentile(pooled[key], 99)))

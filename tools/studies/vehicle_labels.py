@@ -42,6 +42,7 @@ from labelgen.synth.scene.scene import RoadScene, procedural_scene
 from labelgen.synth.shading.lighting import Weather, make_light
 from labelgen.synth.vehicle.body_types import BODY_TYPES
 from labelgen.synth.vehicle.vehicle import VehicleModel, make_vehicle
+from tools.studies.cuboid_labels import TANGENT_RULES
 
 __all__ = ["HEIGHTS", "PAIRS", "Case", "main", "measure_scene", "page"]
 
@@ -185,7 +186,7 @@ def _case(
     outline: RectifiedOutline | None = rectified_outline(rect, drawn.mask, drawn.origin_px)
     if outline is None:
         return None
-    found = {rule: label_outlines([outline], rect.vpu, rule) for rule in Rule}
+    found = {rule: label_outlines([outline], rect.vpu, rule) for rule in TANGENT_RULES}
     if not all(label.valid[0] for label in found.values()):
         return None
     box, (wanted, cc) = found[Rule.WIDER].boxes_xyxy[0], exact
@@ -211,7 +212,7 @@ def _bin(case: Case) -> int | None:
 def _row(cases: list[Case]) -> str:
     iou = np.percentile([c.iou for c in cases], [50, 5, 1])
     cells = [str(len(cases)), *(f"{v:.3f}" for v in iou)]
-    for rule in Rule:
+    for rule in TANGENT_RULES:
         error = np.array([c.cc[rule] - c.exact_cc for c in cases])
         cells += [f"{v:.3f}" for v in np.percentile(np.abs(error), [50, 95, 99])] + [f"{error.mean():+.3f}"]
     return " | ".join(cells)

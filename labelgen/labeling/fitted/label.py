@@ -105,7 +105,6 @@ def label_passages(
     errors: MaskErrors,
     limits: LabelLimits = LABEL_LIMITS,
     *,
-    every: int = 1,
     settings: BodyFitSettings = BODY_FIT_SETTINGS,
 ) -> list[FrameLabels]:
     """Label the vehicles of successive frames of one video.
@@ -117,7 +116,6 @@ def label_passages(
         road: (H, W) bool road mask of the frames.
         errors: of the masks.
         limits: thresholds.
-        every: distance of the frames that were searched for masks.
         settings: of the fit.
 
     Returns:
@@ -136,8 +134,7 @@ def label_passages(
     if not len(seen.frame):
         return [rejected.result(Labels.empty()) for rejected in rejections]
     times = np.array([frame.time_s for frame in frames])[seen.frame]
-    numbers = np.array([frame.number for frame in frames])[seen.frame]
-    vehicles = join_passages(_sightings(seen, times, numbers, camera, every))
+    vehicles = join_passages(_sightings(seen, times, camera))
     bodies = _fit(seen, vehicles, times, camera, errors, settings)
     return _labels(frames, seen, bodies, rectification, camera, road, limits, settings, rejections)
 
@@ -183,15 +180,15 @@ def _candidates(
     )
 
 
-def _sightings(seen: _Candidates, times: Array, numbers: IntArray, camera: Camera, every: int) -> Sightings:
+def _sightings(seen: _Candidates, times: Array, camera: Camera) -> Sightings:
     bottoms, widths, heights = seen.outlines.bottoms_px, seen.outlines.widths_px, seen.outlines.heights_px
     steps = [np.array([-0.5, 0]), np.array([0.5, 0]), np.array([0, -1.0])]
     points = camera.road_points(bottoms, invalid="nan")
     left, right, up = (camera.road_points(bottoms + step, invalid="nan") for step in steps)
     across, along = np.linalg.norm(right - left, axis=1), np.linalg.norm(up - points, axis=1)
     return Sightings(
-        times, numbers, points, widths * across, heights * across, seen.class_ids, seen.cut,
-        np.nan_to_num(np.stack([along, across], axis=1)), every,
+        times, seen.frame, points, widths * across, heights * across, seen.class_ids, seen.cut,
+        np.nan_to_num(np.stack([along, across], axis=1)),
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.geometry.homography import Array
+from labelgen.masks import InstanceMasks
 
 __all__ = [
     "BODY_FIT_SETTINGS",
@@ -36,6 +38,13 @@ class MaskErrors:
     outline_share: float
     swelling: tuple[float, float]
     shadow: tuple[float, float]
+
+    @staticmethod
+    def of(masks: Sequence[InstanceMasks], *, are_silhouettes: bool) -> MaskErrors:
+        """Return the errors of masks of a video, by where they come from."""
+        if are_silhouettes:
+            return SILHOUETTE_MASKS
+        return NETWORK_MASKS if any(m.are_predicted for m in masks if len(m)) else DRAWN_MASKS
 
 
 EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25), (0.0, 0.002))
