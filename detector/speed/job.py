@@ -80,7 +80,8 @@ class MaskSpeedSettings:
         check_masks_file(self.masks)
         if not self.rule.is_of_tangents:
             raise LabelgenError(
-                f"rule {self.rule}: it needs whole passages before a speed is measured; choose another", parameter="rule"
+                f"rule {self.rule}: it needs whole passages before a speed is measured; choose another",
+                parameter="rule",
             )
         if self.variant is Variant.DUBSKA and not self.from_background:
             raise LabelgenError(

@@ -96,9 +96,7 @@ PairOption = Annotated[
         help="Vanishing points whose directions become axis-parallel.",
     ),
 ]
-RuleOption = Annotated[
-    Rule, typer.Option("--rule", case_sensitive=False, help="How masks become labels.")
-]
+RuleOption = Annotated[Rule, typer.Option("--rule", case_sensitive=False, help="How masks become labels.")]
 CalibrationOption = Annotated[
     Path | None,
     typer.Option(

@@ -84,9 +84,7 @@ def label_masks(
             rejections.add_box(i, *reason, boxes[j], is_cut=bool(cut[j]), is_part=bool(is_part))
             keep[j] = False
     disagree = np.abs(np.diff(mask_labels.candidates, axis=1))[:, 0] > limits.max_candidate_difference
-    flags = (
-        Flag.TRUNCATED * cut + Flag.CANDIDATES_DISAGREE * disagree + Flag.TOUCHING * touching(masks, doubled)[index]
-    )
+    flags = Flag.TRUNCATED * cut + Flag.CANDIDATES_DISAGREE * disagree + Flag.TOUCHING * touching(masks, doubled)[index]
     labels = Labels(
         boxes[keep],
         cc[keep],

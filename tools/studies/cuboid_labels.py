@@ -34,14 +34,12 @@ from labelgen.geometry import (
     road_cuboids,
 )
 
-TANGENT_RULES = tuple(rule for rule in Rule if rule.is_of_tangents)
-
 __all__ = [
     "SIZES",
+    "TANGENT_RULES",
     "Accuracy",
     "Row",
     "Scene",
-    "TANGENT_RULES",
     "SolidBoxes",
     "load_scenes",
     "main",
@@ -52,6 +50,7 @@ __all__ = [
     "sample_boxes",
 ]
 
+TANGENT_RULES = tuple(rule for rule in Rule if rule.is_of_tangents)
 SIZES = {Pair.VP2_VP3: (640, 360), Pair.VP1_VP2: (360, 640)}
 KINDS_LWH = np.array(
     [
@@ -269,7 +268,8 @@ def _table(header: list[str], rows: list[list[str]]) -> str:
 
 def _scene_table(rows: list[Row]) -> str:
     header = ["scene", "n", "no label"]
-    header += [f"{rule} {name}" for rule in TANGENT_RULES for name in ("median", "p95", "p99")] + ["box median", "box p99"]
+    header += [f"{rule} {name}" for rule in TANGENT_RULES for name in ("median", "p95", "p99")]
+    header += ["box median", "box p99"]
     body = []
     for row in rows:
         cells = [row.scene, str(len(row.boxes.cc)), str(row.boxes.unlabelled)]

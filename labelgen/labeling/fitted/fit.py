@@ -115,7 +115,7 @@ def fit_bodies(
     fit = start_fit(outlines, vehicles, hypotheses, camera, forms, errors)
     priors = Priors.of(fit, forms, errors, np.array(shares))
     # A hypothesis of which a sighting lies beyond the horizon cannot be placed.
-    on_road = fit.sum_rows(~np.isfinite(fit.place).all(axis=1)) == 0
+    on_road = fit.sum_rows(1.0 - np.isfinite(fit.place).all(axis=1)) == 0
     fit, priors = fit.select(on_road), priors.select(on_road)
     fit = _steps(fit, priors, problem, settings.first_steps)
     cost = _costs(fit, priors, problem)
@@ -180,7 +180,7 @@ def _normal_equations(
     own[:, range(3), range(3)] += precision
     pull = (weighted_own @ r.miss[..., None])[..., 0]
     pull += precision * (expected - np.concatenate([fit.place, fit.heading[:, None]], axis=1))
-    inverse = np.linalg.inv(own)
+    inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
     cross = weighted_own @ r.by_shared
     back, own_pull = inverse @ cross, (inverse @ pull[..., None])[..., 0]
     across = np.swapaxes(cross, -1, -2)

@@ -254,7 +254,7 @@ def _encoded(
     with np.errstate(invalid="ignore"):
         vertices = rectification.points(camera.project(road_cuboids(near, size_lwh)))
         encoded = encode_boxes(vertices, rectification.vpu)
-    return camera.project(near), encoded.boxes_xyxy, encoded.cc, np.isfinite(vertices).all(axis=(1, 2))
+    return camera.project(near), encoded.boxes_xyxy, encoded.cc, np.asarray(np.isfinite(vertices).all(axis=(1, 2)))
 
 
 def _sigmas(bodies: FittedBodies, camera: Camera, rectification: Rectification, scale: float) -> Array:
@@ -299,7 +299,8 @@ def support_polygons(reach_px: Array, settings: BodyFitSettings) -> NDArray[np.f
     along = np.stack([-directions[:, 1], directions[:, 0]], axis=1)
     after = np.roll(reach_px, -1, axis=1)
     far = (after - reach_px * np.cos(turn)) / np.sin(turn)
-    return (directions * reach_px[..., None] + along * far[..., None]).astype(np.float32)
+    corners = directions * reach_px[..., None] + along * far[..., None]
+    return np.asarray(corners, dtype=np.float32)
 
 
 def _labels(

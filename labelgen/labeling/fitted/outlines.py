@@ -80,5 +80,5 @@ def measure_outlines(
         np.stack([(low[:, 0] + high[:, 0]) / 2, high[:, 1]], axis=1),
         high[:, 0] - low[:, 0],
         high[:, 1] - low[:, 1],
-        beyond.any(axis=-1),
+        np.asarray(beyond.any(axis=-1)),
     )

@@ -126,7 +126,7 @@ def _hidden_side(costs: Array, settings: BodyFitSettings) -> NDArray[np.bool_]:
     sides = settings.sides
     saved = costs @ sides.T
     best = saved.argmax(axis=1)
-    return sides[best] & (saved[np.arange(len(best)), best] > settings.hidden_cost)[:, None]
+    return np.asarray(sides[best] & (saved[np.arange(len(best)), best] > settings.hidden_cost)[:, None])
 
 
 def _mirrors(fit: BodyFit, forms: BodyForms, size: Array, own: Array) -> tuple[Array, Array]:
