@@ -89,7 +89,7 @@ class Rejections:
     """
 
     def __init__(self, size_wh: tuple[int, int], limits: LabelLimits) -> None:
-        self._border = np.array([0, 0, *size_wh], dtype=np.float64)
+        self._size = np.array(size_wh, dtype=np.float64)
         self._limits = limits
         self._rejects: list[MaskReject] = []
         self._boxes: list[tuple[int, Array, IgnoreReason]] = []
@@ -116,11 +116,15 @@ class Rejections:
         if is_cut and ignore_reason in (IgnoreReason.TOO_SMALL, IgnoreReason.NO_3D_BOX):
             ignore_reason = IgnoreReason.CUT
         if is_part:
-            margin = self._limits.part_margin * np.tile(box_xyxy[2:] - box_xyxy[:2], 2)
-            box_xyxy = np.clip(
-                box_xyxy + margin * (-1, -1, 1, 1), self._border[[0, 1, 0, 1]], self._border[[2, 3, 2, 3]]
-            )
+            box_xyxy = self._widened(box_xyxy)
         self._boxes.append((number, box_xyxy, ignore_reason))
+
+    def _widened(self, box_xyxy: Array) -> Array:
+        """Return a box (4,) with the margin of parts; what the border takes of it is added on the other side."""
+        margin = self._limits.part_margin * (box_xyxy[2:] - box_xyxy[:2])
+        low, high = box_xyxy[:2] - margin, box_xyxy[2:] + margin
+        beyond_low, beyond_high = np.maximum(-low, 0), np.maximum(high - self._size, 0)
+        return np.concatenate([np.maximum(low - beyond_high, 0), np.minimum(high + beyond_low, self._size)])
 
     def add_second(self, number: int, box_xyxy: Array | None) -> None:
         """Reject a second mask of a vehicle; its box is ignored if nothing else covers it."""

@@ -170,7 +170,8 @@ def count_vehicles(
     Vehicles are those of which the exact mask, rectified, is at least so high and lies on the road with a quarter of
     its pixels. The box of this mask is compared: it has a label from an IoU of 0.4, and is ignored where an ignored
     box covers half of it. Elsewhere an anchor that fits the vehicle would be taught as background. A label of an IoU
-    from 0.2 is one of the vehicle, but a poor one: its mask lacks a part of the vehicle, or holds another one.
+    from 0.2, or one that covers half of the box, comes from a mask of the vehicle, but from a poor one: it lacks a
+    part of the vehicle, or holds another one as well.
 
     Args:
         samples: of the session, made from `masks`.
@@ -206,7 +207,7 @@ def count_vehicles(
                 what = "label"
             elif share >= 0.5:
                 what = "ignored"
-            elif iou >= 0.2:
+            elif iou >= 0.2 or covered_share([box], sample.labels.boxes_xyxy).max(initial=0) >= 0.5:
                 what = "poor label"
             elif annotation["track_id"] not in shown.get(sample.frame, set()):
                 what = "no mask"
