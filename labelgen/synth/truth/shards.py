@@ -3,14 +3,15 @@
     python -m labelgen.synth.truth.shards SESSION... --out DIR [--pair VP2-VP3] [--size 480x270] [--quality 95]
 
 The labels of `labelgen bcs-masks` go through masks instead and leave out vehicles off the road mask. A detector that is
-trained or judged on exact labels meets neither of these two sources of error.
+trained or judged on exact labels meets neither of these two sources of error. Vehicles that show too little for a label
+are ignored boxes.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +23,7 @@ from labelgen.datasets.scene import find_scene
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Pair, Rectification, Region, encode_boxes, parse_size
 from labelgen.geometry.homography import bounding_boxes
-from labelgen.labels import Flag, Labels, Sample
+from labelgen.labels import Flag, IgnoredBoxes, IgnoreReason, Labels, Sample
 from labelgen.media.open_frames import open_frames
 from labelgen.shards import ShardWriter
 from labelgen.shards.image_codec import ImageCodec
@@ -49,7 +50,7 @@ EXACT_LABEL_LIMITS = ExactLabelLimits()
 
 def exact_labels(
     vehicles: Sequence[dict[str, Any]], rectification: Rectification, limits: ExactLabelLimits = EXACT_LABEL_LIMITS
-) -> Labels:
+) -> tuple[Labels, IgnoredBoxes]:
     """Label the vehicles of one frame.
 
     Boxes are cut at the border of the rectified image. Those that are cut there or by the frame's border carry
@@ -59,15 +60,18 @@ def exact_labels(
         vehicles: entries of a line of `truth/NAME/boxes.jsonl`.
         rectification: with the frame's size.
         limits: which vehicles are left out.
+
+    Returns:
+        the labels, and the boxes of the vehicles that are left out and yet show in the image.
     """
-    visible = [v for v in vehicles if v["visible"] is None or v["visible"] >= limits.min_visible]
-    if not visible:
-        return Labels.empty()
-    corners = np.array([vehicle["vertices_px"] for vehicle in visible])
+    if not vehicles:
+        return Labels.empty(), IgnoredBoxes.empty()
+    corners = np.array([vehicle["vertices_px"] for vehicle in vehicles])
+    visible = np.array([1.0 if vehicle["visible"] is None else vehicle["visible"] for vehicle in vehicles])
     assert rectification.frame_wh is not None
     rectified = rectification.points(corners)
-    keep = np.isfinite(rectified).all(axis=(1, 2))
-    corners, rectified = corners[keep], rectified[keep]
+    finite = np.isfinite(rectified).all(axis=(1, 2))
+    corners, rectified, visible = corners[finite], rectified[finite], visible[finite]
     encoded = encode_boxes(rectified, rectification.vpu)
     boxes_xyxy = encoded.boxes_xyxy
     cut_xyxy = _cut(boxes_xyxy, rectification.size_wh)
@@ -76,10 +80,23 @@ def exact_labels(
         _area(cut_xyxy) / _area(boxes_xyxy), _area(_cut(frame_xyxy, rectification.frame_wh)) / _area(frame_xyxy)
     )
     width, height = (cut_xyxy[:, 2:] - cut_xyxy[:, :2]).T
-    keep = (inside >= limits.min_inside) & (height >= limits.min_height_px) & (width >= limits.min_width_px)
-    keep &= (encoded.cc >= 0) & (encoded.cc <= 1)
+    left_out = {
+        IgnoreReason.CUT: inside < limits.min_inside,
+        IgnoreReason.TOO_SMALL: (height < limits.min_height_px) | (width < limits.min_width_px),
+        IgnoreReason.NO_3D_BOX: (encoded.cc < 0) | (encoded.cc > 1),
+        IgnoreReason.OTHER: visible < limits.min_visible,
+    }
+    keep = ~np.any(list(left_out.values()), axis=0)
+    reasons = np.select(list(left_out.values()), [int(reason) for reason in left_out])
+    shows = ~keep & (inside > 0) & (visible > 0) & (width > 0) & (height > 0)
     flags = (Flag.TRUNCATED * (inside < 0.999)).astype(np.uint16)
-    return Labels(cut_xyxy[keep], encoded.cc[keep], flags=flags[keep])
+    # Shards store float32, in which a box of no width may come out.
+    ignored_xyxy = cut_xyxy[shows].astype(np.float32).astype(np.float64)
+    solid = (ignored_xyxy[:, :2] < ignored_xyxy[:, 2:]).all(axis=1)
+    return (
+        Labels(cut_xyxy[keep], encoded.cc[keep], flags=flags[keep]),
+        IgnoredBoxes(ignored_xyxy[solid], reasons[shows][solid]),
+    )
 
 
 def _cut(boxes_xyxy: Any, size_wh: Sequence[float]) -> Any:
@@ -122,15 +139,14 @@ def write_session_shard(
     path = out / f"shard-{number:03d}-{scene.name}-00000.h5"
     with ShardWriter(path, pair, size_wh, source=scene.name, settings=settings) as writer, truth.open() as lines:
         for frame, line in zip(frames.frames(), lines, strict=False):
-            labels = exact_labels(json.loads(line)["vehicles"], rectification)
+            labels, ignored = exact_labels(json.loads(line)["vehicles"], rectification)
             if len(labels):
                 image = codec.encode(rectification.warp_image(frame.image))
                 window = np.array([0.0, 0.0, *frames.size_wh])
-                writer.add(
-                    Sample(
-                        image, labels, rectification, camera, scene.name, frame.number, frame.time_s, window_xyxy=window
-                    )
+                sample = Sample(
+                    image, labels, rectification, camera, scene.name, frame.number, frame.time_s, window_xyxy=window
                 )
+                writer.add(replace(sample, ignored=ignored))
         writer.last = True
     return writer.labels
 

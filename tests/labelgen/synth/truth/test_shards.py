@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clips import CAMERA, vehicle_boxes
 
-from labelgen.labels import Flag
+from labelgen.geometry import Pair, Rectification
+from labelgen.labels import Flag, IgnoreReason
 from labelgen.shards import ShardDataset
 from labelgen.synth.truth.session import write_session
-from labelgen.synth.truth.shards import EXACT_LABEL_LIMITS, main
-
-pytestmark = pytest.mark.slow
+from labelgen.synth.truth.shards import EXACT_LABEL_LIMITS, exact_labels, main
 
 
 @pytest.mark.slow
@@ -38,3 +38,27 @@ def test_labels_decode_to_the_true_boxes(tmp_path: Path) -> None:
             assert gaps.min() < 0.05
             compared += 1
     assert compared >= 2
+
+
+@pytest.mark.parametrize(
+    ("shift_px", "visible", "scale", "labels", "reasons"),
+    [
+        (0, 1.0, 1.0, 1, []),
+        (0, None, 1.0, 1, []),
+        (0, 0.2, 1.0, 0, [IgnoreReason.OTHER]),
+        (0, 0.0, 1.0, 0, []),  # nothing of it shows
+        (0, 1.0, 0.1, 0, [IgnoreReason.TOO_SMALL]),
+        (-220, 1.0, 1.0, 0, [IgnoreReason.CUT]),
+        (-400, 1.0, 1.0, 0, []),  # outside
+    ],
+)
+def test_vehicles_without_a_label_are_ignored_where_they_show(
+    shift_px: float, visible: float | None, scale: float, labels: int, reasons: list[IgnoreReason]
+) -> None:
+    rectification = Rectification.from_window(CAMERA, [0, 0, *CAMERA.image_wh], Pair.VP2_VP3, (640, 360))
+    corners = vehicle_boxes(20)[0]
+    middle = corners.mean(axis=0)
+    vehicle = {"vertices_px": (middle + scale * (corners - middle) + [shift_px, 0]).tolist(), "visible": visible}
+    found, ignored = exact_labels([vehicle], rectification)
+    assert len(found) == labels
+    assert ignored.reasons.tolist() == reasons
