@@ -3,7 +3,7 @@
 What a notebook needs, by what it is for:
 
 - shards: `ShardDataset` (iterate samples; a PyTorch data set), `ShardReader`, `ShardWriter`, `Sample`
-- labels: `Labels`, `VehicleClass`, `Flag`, `Split`
+- labels: `Labels`, `VehicleClass`, `Flag`, `Split`, `IgnoredBoxes`, `IgnoreReason`
 - geometry: `Camera`, `Rectification`, `RoadMask`, `Pair`, `Region`, `encode_boxes`, `decode_boxes`, `road_cuboids`
 - labels from masks: `InstanceMasks`, `label_masks`, `Rule`, `create_mask_source`
 - inputs: `find_scene`, `open_frames`
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from labelgen.errors import LabelgenError
     from labelgen.geometry import Camera, Rectification, RoadMask, decode_boxes, encode_boxes, road_cuboids
     from labelgen.labeling.from_masks import label_masks
-    from labelgen.labels import Flag, Labels, Sample, Split, VehicleClass
+    from labelgen.labels import Flag, IgnoredBoxes, IgnoreReason, Labels, Sample, Split, VehicleClass
     from labelgen.masks import InstanceMasks, create_mask_source
     from labelgen.media.open_frames import open_frames
     from labelgen.shards import ShardDataset, ShardReader, ShardWriter
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Camera",
     "Flag",
+    "IgnoreReason",
+    "IgnoredBoxes",
     "InstanceMasks",
     "LabelgenError",
     "Labels",
@@ -63,7 +65,7 @@ _ROOMS = {
     "labelgen.errors": ("LabelgenError",),
     "labelgen.geometry": ("Camera", "Rectification", "RoadMask", "decode_boxes", "encode_boxes", "road_cuboids"),
     "labelgen.labeling.from_masks": ("label_masks",),
-    "labelgen.labels": ("Flag", "Labels", "Sample", "Split", "VehicleClass"),
+    "labelgen.labels": ("Flag", "IgnoreReason", "IgnoredBoxes", "Labels", "Sample", "Split", "VehicleClass"),
     "labelgen.masks": ("InstanceMasks", "create_mask_source"),
     "labelgen.media.open_frames": ("open_frames",),
     "labelgen.shards": ("ShardDataset", "ShardReader", "ShardWriter"),

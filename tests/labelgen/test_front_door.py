@@ -11,9 +11,10 @@ import detector
 import labelgen
 
 LABELGEN = {
-    "Camera", "Flag", "InstanceMasks", "Labels", "LabelgenError", "Pair", "Rectification", "Region", "RoadMask",
-    "Rule", "Sample", "ShardDataset", "ShardReader", "ShardWriter", "Split", "VehicleClass", "__version__",
-    "create_mask_source", "decode_boxes", "encode_boxes", "find_scene", "label_masks", "open_frames", "road_cuboids",
+    "Camera", "Flag", "IgnoreReason", "IgnoredBoxes", "InstanceMasks", "LabelgenError", "Labels", "Pair",
+    "Rectification", "Region", "RoadMask", "Rule", "Sample", "ShardDataset", "ShardReader", "ShardWriter", "Split",
+    "VehicleClass", "create_mask_source", "decode_boxes", "encode_boxes", "find_scene", "label_masks",
+    "open_frames", "road_cuboids", "__version__",
 }  # fmt: skip
 
 
