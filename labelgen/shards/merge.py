@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     for path in shards:
         with ShardReader(path) as reader:
             kinds.setdefault((reader.attributes["pair"], reader.attributes["size"]), path)
-            by_hash.setdefault(reader.attributes[HASH_ATTRIBUTE], path)
+        by_hash.setdefault(_newest_version(path)[1], path)
     if len(kinds) > 1:
         listed = "; ".join(f"{path}: {pair} {size}" for (pair, size), path in kinds.items())
         raise DataError(f"cannot merge shards of different pairs or sizes ({listed}); merge each kind on its own")
@@ -57,7 +57,7 @@ def merge_shards(paths: Sequence[str | Path], out: Path) -> DatasetSummary:
     written = []
     for number, path in enumerate(by_hash.values()):
         target = out / f"shard-{number:05d}.h5"
-        write_atomic(target, _newest_version(path))
+        write_atomic(target, _newest_version(path)[0]())
         originals[target.name] = by_folder[path.parent].get(path.name, {})
         written.append(target)
     write_index(out, written, merge_job(shards), originals)
@@ -78,13 +78,14 @@ def _refuse_invalid(paths: Sequence[str | Path], shards: Sequence[Path]) -> None
         raise DataError(f"{where}: {first}{more}; nothing was merged, labelgen validate lists all problems")
 
 
-def _newest_version(path: Path) -> bytes:
-    """Return the bytes of a valid shard, or of the same content in the newest version of the format."""
+def _newest_version(path: Path) -> tuple[Callable[[], bytes], str]:
+    """Return what reads the bytes of a valid shard in the newest version of the format, and its content hash there."""
     with ShardReader(path) as reader:
         if reader.attributes["version"] == VERSION:
-            return path.read_bytes()
+            return path.read_bytes, str(reader.attributes[HASH_ATTRIBUTE])
         attributes = {key: value for key, value in reader.attributes.items() if key != HASH_ATTRIBUTE}
-        return shard_bytes(attributes, reader.read_all())[0]
+        content, digest = shard_bytes(attributes, reader.read_all())
+        return lambda: content, digest
 
 
 def _originals(folder: Path) -> dict[str, Any]:
