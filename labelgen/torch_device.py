@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import re
-
 import torch
 
+from labelgen.before_torch import device_parts, no_such_device
 from labelgen.errors import LabelgenError
 
 __all__ = ["choose_device"]
-
-_NAMES = "auto, cpu, gpu, cuda, cuda:0, mps"
 
 
 def choose_device(name: str | None) -> torch.device:
@@ -23,20 +20,14 @@ def choose_device(name: str | None) -> torch.device:
     Raises:
         LabelgenError: no such name, or no such device on this machine.
     """
-    text = (name or "auto").strip().lower()
-    match = re.fullmatch(r"(auto|cpu|mps|gpu|cuda)(:[0-9]{1,3})?", text)
-    if match is None or (match[2] and match[1] not in ("gpu", "cuda")):
-        raise LabelgenError(f"device {name}: unknown; use one of {_NAMES}", parameter="device")
-    kind, number = match[1], match[2] or ""
+    kind, number = device_parts(name)
     has_cuda, has_mps = torch.cuda.is_available(), torch.backends.mps.is_available()
     if kind == "auto":
         kind = "cuda" if has_cuda else "cpu"
     elif kind == "gpu":
         kind = "mps" if has_mps and not has_cuda and not number else "cuda"
     if (kind == "cuda" and not has_cuda) or (kind == "mps" and not has_mps):
-        raise LabelgenError(
-            f"device {name}: this machine has no such GPU, or PyTorch cannot use it; use cpu", parameter="device"
-        )
+        raise no_such_device(name)
     device = torch.device(f"{kind}{number}")
     if device.index is not None and device.index >= torch.cuda.device_count():
         raise LabelgenError(

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from detector.inference import Detector
 from detector.speed.contact_point import MaskExtent
 from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
@@ -18,6 +18,7 @@ from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import FrameDetections, detect, with_frames
 from detector.speed.variant import Variant
 from detector.speed.view import MeasurementView
+from labelgen.before_torch import check_device, check_torch_file
 from labelgen.datasets.scene import Scene, SceneFiles, read_lane_lines
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Pair, Rule
@@ -38,6 +39,9 @@ from labelgen.masks.background.source import BackgroundMasks
 from labelgen.masks.gated import GatedMasks
 from labelgen.media.frames import Frame, FrameSource
 from labelgen.media.timed_frames import TimedFrames
+
+if TYPE_CHECKING:
+    from detector.inference import Detector
 
 __all__ = ["MaskSpeedSettings", "SpeedJob", "job_from_file", "job_from_masks", "job_from_model"]
 
@@ -78,6 +82,9 @@ class MaskSpeedSettings:
 
     def __post_init__(self) -> None:
         check_masks_file(self.masks)
+        check_device(self.device)
+        if self.weights is not None:
+            check_torch_file(self.weights, f"weights {self.weights}", parameter="weights")
         if not self.rule.is_of_tangents:
             raise LabelgenError(
                 f"rule {self.rule}: it needs whole passages before a speed is measured; choose another",

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from detector.checkpoint import ModelMetadata
-from detector.inference import Detector
 from detector.speed.detections import Detections
 from detector.speed.variant import Variant
 from detector.speed.view import MeasurementView
 from labelgen.errors import LabelgenError
 from labelgen.geometry import Camera, Rectification, Region, RoadMask
 from labelgen.media.frames import Frame, FrameSource
+
+if TYPE_CHECKING:
+    from detector.checkpoint import ModelMetadata
+    from detector.inference import Detector
 
 __all__ = ["DetectorDetections", "model_view"]
 

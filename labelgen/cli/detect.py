@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from labelgen.before_torch import check_device, check_torch_file
 from labelgen.cli.options import (
     CalibrationOption,
     DeinterlaceOption,
@@ -62,6 +63,8 @@ def detect(
     For videos and images the file is one that `labelgen speed --from detections:FILE` reads. For shards each line names
     the sample it belongs to.
     """
+    check_torch_file(checkpoint, f"checkpoint {checkpoint}")
+    check_device(device)
     from detector.inference import load_detector
     from labelgen.atomic_files import make_folder
     from labelgen.datasets.scene import find_scene

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from labelgen.before_torch import check_device, check_torch_file
 from labelgen.cli.options import JsonOption, print_table, write_json_report
 from labelgen.cli.printing import say
 from labelgen.progress import progress_bar
@@ -34,6 +35,8 @@ def evaluate_detector(
 
     Figures ending in _whole leave truncated labels out: they need not be found and cost nothing when they are.
     """
+    check_torch_file(checkpoint, f"checkpoint {checkpoint}")
+    check_device(device)
     from detector.data.dataset import open_shards
     from detector.inference import load_detector
     from detector.metrics import evaluate_detections

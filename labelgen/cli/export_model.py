@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from labelgen.before_torch import check_torch_file
 from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
 from labelgen.cli.printing import say
 
@@ -34,6 +35,7 @@ def export_model(
     json_file: JsonOption = None,
 ) -> None:
     """Write a detector for other runtimes: one rectified RGB picture in, boxes, scores and c_c out, NMS included."""
+    check_torch_file(checkpoint, f"checkpoint {checkpoint}")
     from detector.export_onnx import check_onnx, export_onnx
     from labelgen.errors import LabelgenError, OutputError
 

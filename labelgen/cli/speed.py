@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from detector.speed.variant import Variant
+from labelgen.before_torch import check_device, check_torch_file
 from labelgen.choices import Pair, Rule
 from labelgen.cli.options import (
     CalibrationOption,
@@ -229,6 +230,8 @@ def _model_job(
     inputs: _Inputs, checkpoint: Path, variant: Variant | None, pair: Pair | None, size: str | None, score: float,
     device: str | None,
 ) -> SpeedJob:  # fmt: skip
+    check_torch_file(checkpoint, f"checkpoint {checkpoint}", parameter="from_")
+    check_device(device)
     from detector.inference import load_detector
     from detector.speed.job import job_from_model
     from labelgen.choices import parse_size

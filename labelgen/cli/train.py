@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
+from labelgen.before_torch import check_device, check_torch_file
+from labelgen.cli.options import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
 from labelgen.cli.printing import say
 
 __all__ = ["train"]
@@ -76,6 +77,11 @@ def train(
     Killed or interrupted, the same command with --resume goes on: same data in the same order, and on a CPU the same
     weights in the end.
     """
+    _check_shards([*shards, *(val or [])])
+    check_device(device)
+    check_report_path(json_file)
+    if weights and weights not in ("imagenet", "none"):
+        check_torch_file(Path(weights), f"weights {weights}", parameter="weights")
     from detector.training.config import MachineConfig, find_preset
     from detector.training.train import train as run
 
@@ -113,3 +119,12 @@ def train(
     )  # fmt: skip
     if summary.signal is not None:
         raise typer.Exit(128 + summary.signal)
+
+
+def _check_shards(shards: list[str]) -> None:
+    """Refuse shards that are not there, given as PATH or PATH:WEIGHT."""
+    from labelgen.shards import find_shards
+
+    for text in shards:
+        path, colon, _ = text.rpartition(":")
+        find_shards([text if Path(text).exists() or not colon else path])

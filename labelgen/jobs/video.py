@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from labelgen.before_torch import check_device, check_torch_file
 from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.scene import Scene, SceneFiles
 from labelgen.errors import LabelgenError, NoVehiclesError
@@ -79,6 +80,9 @@ class MaskSettings:
 
     def __post_init__(self) -> None:
         check_masks_file(self.masks)
+        check_device(self.device)
+        if self.weights is not None:
+            check_torch_file(self.weights, f"weights {self.weights}", parameter="weights")
 
     @property
     def is_made_before(self) -> bool:
