@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections, inside_larger_box
-from detector.speed.track_speed import SPEED_GAP, MeasuredVehicle, TrackPoints, measure_track
+from detector.speed.track_speed import SPEED_GAP, MeasuredVehicle, TrackPoints, measure_track, road_movement
 from detector.tracking.iou_tracker import DUPLICATE, IouTracker, TrackRules
 from detector.tracking.per_track import gap_speeds_kmh
 from labelgen.errors import CalibrationError
@@ -20,6 +20,7 @@ from labelgen.geometry.homography import Array
 __all__ = ["MeasureRules", "SpeedMeter"]
 
 _TOO_FEW = "too few points"
+_STILL, _OFF_COURSE = "stands still", "does not move along the road"
 # Number of last steps from frame to frame that give the frame rate.
 _STEPS = 200
 # Least step between two frames, s, and largest number of a frame.
@@ -30,7 +31,9 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MeasureRules:
-    """Thresholds for points and tracks that count: the published ones, for frames 1920 px wide, except for the jumps.
+    """Thresholds for points and tracks that count, for frames 1920 px wide.
+
+    Borders, numbers of points and lengths in px are the published ones; jumps and movement in metres are not.
 
     Source: Kocur & Ftacnik 2020, section 3.5.
 
@@ -41,11 +44,17 @@ class MeasureRules:
         min_points: tracks with fewer points that count are dropped. More points leave out false tracks, and vehicles
             that are seen briefly.
         min_length_px: px; tracks are dropped unless their first and last point are farther apart. It leaves out
-            standing vehicles and flicker, and vehicles far away.
+            flicker, and vehicles far away.
         jump_m: metres. A track that moves more than `jump_m` plus what `jump_kmh` allows from one point to the next has
             changed from one vehicle to another: boxes of vehicles that are close together merge. The longest part
             between such jumps counts. A smaller value also cuts tracks with inaccurate boxes.
         jump_kmh: km/h, see `jump_m`; higher than any speed on a road.
+        min_along_m: metres along the road between the ends of a track. Tracks of parked vehicles, and of what a swaying
+            camera shows beside its place, are shorter. A larger value drops vehicles that only move up in a queue.
+        min_along_sigmas: the same in multiples of the points' scatter around steady motion, for flicker.
+        max_across_share: a track that moves farther across the road than this share of what it moves along it is
+            dropped. A larger one keeps what slides off the road, a smaller one drops changes of lane.
+        end_points: number of points of which each end of a track is the median.
         low_fps: frames per second below which vehicles may pass between two frames: it is told where most tracks are
             dropped for too few points.
         track: thresholds of the tracker.
@@ -56,6 +65,10 @@ class MeasureRules:
     min_length_px: float = 100.0
     jump_m: float = 5.0
     jump_kmh: float = 300.0
+    min_along_m: float = 1.0
+    min_along_sigmas: float = 2.0
+    max_across_share: float = 0.5
+    end_points: int = 5
     low_fps: float = 8.0
     track: TrackRules = field(default_factory=TrackRules)
 
@@ -213,5 +226,12 @@ class SpeedMeter:
         """Return why a track is dropped; empty for a track that counts."""
         if len(points.frames) < self.rules.min_points:
             return _TOO_FEW
+        along_m, across_m, scatter_m = road_movement(
+            points.on_road_m(self._camera), np.array(points.times_s), self.rules.end_points
+        )
+        if along_m < max(self.rules.min_along_m, self.rules.min_along_sigmas * scatter_m):
+            return _STILL
+        if across_m > self.rules.max_across_share * along_m:
+            return _OFF_COURSE
         length = float(np.linalg.norm(points.contact_points_px[-1] - points.contact_points_px[0]))
         return "" if length > self.rules.min_length_px else "too short"

@@ -24,7 +24,7 @@ from labelgen.geometry import Camera, cuboid_sizes
 from labelgen.geometry.homography import Array
 from labelgen.geometry.lanes import lanes_of
 
-__all__ = ["SPEED_GAP", "MeasuredVehicle", "TrackPoints", "measure_track", "median_speed_and_error"]
+__all__ = ["SPEED_GAP", "MeasuredVehicle", "TrackPoints", "measure_track", "median_speed_and_error", "road_movement"]
 
 SPEED_GAP = 5
 """Points between both ends of one speed measurement; the public protocol fixes it."""
@@ -114,6 +114,25 @@ def median_speed_and_error(points_m: Array, times_s: Array) -> tuple[float, floa
     gaps = gap_speeds_kmh(points_m[rows].reshape(-1, 2), times_s[rows].ravel(), offsets, SPEED_GAP)
     sigma = float(np.median(np.abs(gaps - speed))) * _MAD_TO_SIGMA
     return speed, _MEDIAN_ERROR * sigma / float(np.sqrt(max(1.0, count / SPEED_GAP)))
+
+
+def road_movement(points_m: Array, times_s: Array, end_points: int) -> tuple[float, float, float]:
+    """Return how far a track moves along and across the road, and how its points scatter along it, all in metres.
+
+    Args:
+        points_m: (K, 2) metres along and across the road, at least 2.
+        times_s: (K,) seconds, rising.
+        end_points: number of points of which each end is the median; fewer in short tracks.
+
+    Returns:
+        distances between the ends along and across the road; standard deviation along it around steady motion.
+    """
+    count = min(max(1, len(points_m) // 3), end_points)
+    along, across = np.abs(np.median(points_m[-count:], axis=0) - np.median(points_m[:count], axis=0)).tolist()
+    times = times_s - times_s.mean()
+    offsets = points_m[:, 0] - points_m[:, 0].mean()
+    scatter = float(np.std(offsets - times * (times @ offsets) / (times @ times)))
+    return along, across, scatter
 
 
 def measure_track(track_id: int, points: TrackPoints, camera: Camera, lane_lines: Array | None) -> MeasuredVehicle:

@@ -33,7 +33,7 @@ from labelgen.masks import (
     check_masks,
     check_masks_file,
     create_mask_source,
-    masked_frames,
+    labelled_frames,
     parse_masks,
     prime_masks,
 )
@@ -372,7 +372,8 @@ class VideoUnit:
                         writer = stack.enter_context(self._writer(out, writer.part + 1))
                     self._write(frame, scene, rectification, writer)
 
-            with closing(masked_frames(frames, source, choice, self._part_of, ahead=_FRAMES_AHEAD)) as coming:
+            found = labelled_frames(frames, source, scene.camera, choice, self._part_of, ahead=_FRAMES_AHEAD)
+            with closing(found) as coming:
                 for frame, masks in coming:
                     if frame.number >= first:
                         progress(1)

@@ -14,6 +14,7 @@ from labelgen.geometry.outline_label import label_outlines
 from labelgen.geometry.rectification import Rectification
 from labelgen.labeling.screening import (
     LABEL_LIMITS,
+    STANDS,
     FrameLabels,
     LabelLimits,
     MaskReject,
@@ -119,6 +120,9 @@ def flat_labels(
     for i, box in enumerate(rectification.boxes(masks.boxes_xyxy) if len(masks) else []):
         if doubled[i]:
             rejections.add_second(i, box)
+            continue
+        if masks.moving is not None and not masks.moving[i]:
+            rejections.add_box(i, STANDS, "", box, is_cut=False)
             continue
         contact_point = rectification.points_back([[(box[0] + box[2]) / 2, box[3]]])
         if (height := box[3] - box[1]) < limits.min_height_px:

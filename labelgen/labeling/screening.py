@@ -19,6 +19,7 @@ from labelgen.masks import InstanceMasks
 
 __all__ = [
     "LABEL_LIMITS",
+    "STANDS",
     "FrameLabels",
     "LabelLimits",
     "MaskReject",
@@ -62,6 +63,8 @@ class LabelLimits:
 
 
 LABEL_LIMITS = LabelLimits()
+STANDS = "does not move"
+"""Reason of rejects that are no traffic, see `InstanceMasks.moving`."""
 MaskReject = tuple[int, str, str]
 """Number of the mask in its frame, reason, detail."""
 
@@ -155,7 +158,7 @@ def large_outlines(
     limits: LabelLimits,
     rejections: Rejections,
 ) -> dict[int, RectifiedOutline]:
-    """Return the outlines of masks that are high enough for a label, by the masks' numbers; reject the others."""
+    """Return the outlines of masks that move and are high enough for a label, by their numbers; reject the others."""
     outlines: dict[int, RectifiedOutline] = {}
     at_border = at_frame_border(masks, limits)
     for i, (crop, origin) in enumerate(zip(masks.crops, masks.origins.tolist(), strict=True)):
@@ -165,6 +168,8 @@ def large_outlines(
             rejections.add_second(i, box)
         elif outline is None or box is None:
             rejections.add(i, "outside the rectified image")
+        elif masks.moving is not None and not masks.moving[i]:
+            rejections.add_box(i, STANDS, "", box, is_cut=False)
         elif (height := box[3] - box[1]) < limits.min_height_px:
             is_cut = at_border[i] or truncated(box[None], rectification.size_wh, limits.border_px)[0]
             rejections.add_box(i, *too_small(height, limits), box, is_cut=bool(is_cut), is_part=True)

@@ -3,6 +3,7 @@
 from labelgen.masks.clip import Clip
 from labelgen.masks.create import create_mask_source
 from labelgen.masks.instances import InstanceMasks, crop_mask
+from labelgen.masks.labelled_frames import labelled_frames
 from labelgen.masks.mask_options import MASK_OPTIONS, MaskOptions
 from labelgen.masks.source import (
     MaskKind,
@@ -27,6 +28,7 @@ __all__ = [
     "check_masks_file",
     "create_mask_source",
     "crop_mask",
+    "labelled_frames",
     "masked_frames",
     "parse_masks",
     "prime_masks",

@@ -35,6 +35,7 @@ class InstanceMasks:
         scores: (N,) float32 in [0, 1].
         are_predicted: whether a network made them: it may find a vehicle twice, and its masks may end short of the
             frame's border.
+        moving: (N,) bool, whether each moves along the road; None where that was not looked at.
 
     Raises:
         DataError: a field has a wrong shape or value. The message lists all such fields, expected beside actual.
@@ -46,6 +47,7 @@ class InstanceMasks:
     class_ids: NDArray[np.uint8]
     scores: NDArray[np.float32]
     are_predicted: bool = False
+    moving: BoolMask | None = None
 
     def __post_init__(self) -> None:
         crops = tuple(self.crops)
@@ -53,14 +55,16 @@ class InstanceMasks:
         origins = np.asarray(self.origins, dtype=np.int64)
         class_ids = np.asarray(self.class_ids, dtype=np.uint8)
         scores = np.asarray(self.scores, dtype=np.float32)
+        moving = None if self.moving is None else np.asarray(self.moving, dtype=np.bool_)
         problems = [
             f"{name}: expected shape {expected}, got {array.shape}"
             for name, array, expected in (
                 ("origins", origins, (n, 2)),
                 ("class_ids", class_ids, (n,)),
                 ("scores", scores, (n,)),
+                ("moving", moving, (n,)),
             )
-            if array.shape != expected
+            if array is not None and array.shape != expected
         ]
         if not problems:
             problems += _crop_problems(self.frame_wh, origins, crops)
@@ -70,7 +74,13 @@ class InstanceMasks:
                 problems.append("scores: expected values in [0, 1]")
         if problems:
             raise DataError("instance masks: " + "; ".join(problems))
-        fields = {"origins": origins, "crops": crops, "class_ids": class_ids, "scores": scores}
+        fields: dict[str, Any] = {
+            "origins": origins,
+            "crops": crops,
+            "class_ids": class_ids,
+            "scores": scores,
+            "moving": moving,
+        }
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 

@@ -28,6 +28,11 @@ class FrameChoice:
     limit: int | None = None
     wanted: Callable[[int], bool] = always
 
+    def takes_number(self, number: int) -> bool:
+        """Return whether a frame is wanted, where `keyframes` is not set: then its number alone decides."""
+        is_within = number >= 0 and (self.limit is None or number < self.limit * self.every)
+        return is_within and number % self.every == 0 and self.wanted(number)
+
     def begin(self) -> FrameChooser:
         """Return the state of one pass over a recording."""
         return FrameChooser(self)

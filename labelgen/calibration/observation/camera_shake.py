@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.calibration.observation.klt import Grey, KltSettings, optical_flow
+from labelgen.media.klt import Grey, KltSettings, optical_flow
 
 __all__ = ["CameraShake", "CameraShakeSettings"]
 

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.calibration.observation.klt import Grey, KltSettings, optical_flow
 from labelgen.geometry.homography import Array
+from labelgen.media.klt import Grey, KltSettings, optical_flow
 
 __all__ = ["FeatureTracker", "FeatureTrackerSettings", "Track", "working_factor"]
 

@@ -86,7 +86,7 @@ def test_a_long_gap_in_time_ends_tracks(fps: float | None) -> None:
     """After two seconds without frames, a vehicle at the same place may be another one."""
     crawl = Drive(1.0, 30.0)
     times = [*(n / 50 for n in range(40)), *(2.8 + n / 50 for n in range(40))]
-    rules = MeasureRules(min_length_px=1.0)
+    rules = MeasureRules(min_length_px=1.0, min_along_m=0.1)
     assert len(drive_past(make_view(Variant.TRANSFORM3D), [crawl], times, fps=fps, rules=rules)) == 2
 
 
@@ -145,6 +145,34 @@ def test_tracks_that_are_no_vehicles(rules: MeasureRules, reason: str) -> None:
         assert meter.add(exact_detections(view, [Drive(80.0, 68.0)], number, time_s))[1] == []
     assert meter.finish() == []
     assert meter.dropped == {reason: 1}
+
+
+def jitter(number: int, size_m: float) -> float:
+    return size_m * float(np.random.default_rng(number).normal())
+
+
+@pytest.mark.parametrize(
+    ("what", "place_m", "reason"),
+    [
+        ("parked", lambda n: (30.0, 0.0), "stands still"),
+        ("a shaking camera", lambda n: (30.0 + 0.3 * np.sin(n), 0.1 * np.cos(n)), "stands still"),
+        ("flickers about one place", lambda n: (30.0 + jitter(n, 0.7) + 0.005 * n, 0.0), "stands still"),
+        ("slides off the road", lambda n: (30.0 + 0.01 * n, 0.02 * n), "does not move along the road"),
+        ("stands in a queue, then leaves", lambda n: (30.0 - max(0, n - 200) * 0.1, 0.0), None),
+        ("changes lanes", lambda n: (60.0 - 0.1 * n, 0.014 * n), None),
+    ],
+)
+def test_tracks_that_stay_where_they_are_are_no_traffic(
+    what: str, place_m: Callable[[int], tuple[float, float]], reason: str | None
+) -> None:
+    view = make_view(Variant.TRANSFORM3D)
+    meter = SpeedMeter(view.camera, rules=MeasureRules(min_length_px=20.0))
+    vehicles = []
+    for number, time_s in enumerate(STEADY):
+        drive = Drive(0.0, *place_m(number))
+        vehicles += meter.add(exact_detections(view, [drive], number, time_s))[1]
+    vehicles += meter.finish()
+    assert (len(vehicles), dict(meter.dropped)) == ((1, {}) if reason is None else (0, {reason: 1})), what
 
 
 def test_rules_scale_with_the_frame() -> None:

@@ -45,6 +45,16 @@ def test_silhouettes_of_cuboids_give_their_labels() -> None:
     np.testing.assert_allclose(labels.cc, exact.cc, atol=0.03)
 
 
+@pytest.mark.parametrize("flat", [False, True])
+def test_masks_that_do_not_move_give_no_label(flat: bool) -> None:
+    masks = replace(_masks(list(vehicle_boxes(FRAME))), moving=np.array([False, True]))
+    labels, rejects, ignored = (
+        flat_labels(masks, FLAT, ROAD.pixels) if flat else label_masks(masks, RECTIFICATION, CAMERA, ROAD.pixels)
+    )
+    assert (len(labels), len(ignored)) == (1, 1)
+    assert [reject[:2] for reject in rejects] == [(0, "does not move")]
+
+
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
