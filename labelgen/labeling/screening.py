@@ -124,7 +124,9 @@ class Rejections:
 
     def _widened(self, box_xyxy: Array) -> Array:
         """Return a box (4,) with the margin of parts; what the border takes of it is added on the other side."""
-        margin = self._limits.part_margin * (box_xyxy[2:] - box_xyxy[:2])
+        size = box_xyxy[2:] - box_xyxy[:2]
+        # At least as large as a label: anchors are not smaller, and half of one must lie in the box.
+        margin = np.maximum(self._limits.part_margin * size, (self._limits.min_height_px - size) / 2)
         low, high = box_xyxy[:2] - margin, box_xyxy[2:] + margin
         beyond_low, beyond_high = np.maximum(-low, 0), np.maximum(high - self._size, 0)
         return np.concatenate([np.maximum(low - beyond_high, 0), np.minimum(high + beyond_low, self._size)])

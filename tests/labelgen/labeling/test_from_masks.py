@@ -157,7 +157,8 @@ def test_rejected_masks_leave_a_box_to_ignore(is_flat: bool, limits: dict, reaso
     assert ignored.reasons.tolist() == [reason, reason]
     if is_part:
         size, border = boxes[:, 2:] - boxes[:, :2], np.array([640, 360])
-        low, high = boxes[:, :2] - size / 2, boxes[:, 2:] + size / 2
+        margin = np.maximum(size / 2, (limits.get("min_height_px", 10) - size) / 2)
+        low, high = boxes[:, :2] - margin, boxes[:, 2:] + margin
         # What the border takes on one side is added on the other.
         boxes = np.concatenate([low - np.maximum(high - border, 0), high - np.minimum(low, 0)], axis=1)
         boxes = boxes.clip(0, [640, 360, 640, 360])
@@ -186,6 +187,11 @@ def test_what_the_border_leaves_of_a_vehicle_is_ignored_as_cut() -> None:
     assert [reason for _, reason, _ in result.rejects] == ["too small"]
     assert result.ignored.reasons.tolist() == [IgnoreReason.CUT]
     np.testing.assert_allclose(result.ignored.boxes_xyxy, [[260, 348, 340, 360]], atol=3)
+    # Never smaller than a label: half of an anchor must lie in it.
+    speck = label_masks(_patch(300, 357, 304, 380), RECTIFICATION, CAMERA, ROAD.pixels)
+    x0, y0, x1, y1 = speck.ignored.boxes_xyxy[0].tolist()
+    assert (x1 - x0, y1 - y0) == pytest.approx((10, 10), abs=2)
+    assert y1 == 360
 
 
 def test_a_mask_without_a_3d_box_is_ignored() -> None:
