@@ -16,7 +16,7 @@ from labelgen.labeling.fitted.settings import MaskErrors
 __all__ = ["SHARED", "BodyFit", "Priors", "start_fit"]
 
 SHARED = 3 + MODES + 3
-"""Parameters that a vehicle's sightings share: log length, width, height; form; mirrors, swelling, shadow."""
+"""Parameters that a vehicle's sightings share: log length, width, height; form; mirrors, swelling in standard deviations, shadow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +90,9 @@ class Priors:
         means, precisions = np.zeros((len(forms.forms), SHARED)), np.zeros((len(forms.forms), SHARED, SHARED))
         for k, form in enumerate(forms.forms):
             means[k, :3] = form.log_size
-            means[k, 3 + MODES :] = form.mirror_m[0], errors.swelling[0], errors.shadow[0]
+            means[k, 3 + MODES :] = form.mirror_m[0], 0.0, errors.shadow[0]
             precisions[k, :3, :3] = np.linalg.inv(form.log_size_covariance)
-            spread = np.array([*np.ones(MODES), form.mirror_m[1], errors.swelling[1], errors.shadow[1]])
+            spread = np.array([*np.ones(MODES), form.mirror_m[1], 1.0, errors.shadow[1]])
             precisions[k, range(3, SHARED), range(3, SHARED)] = 1 / spread**2
         # Families of narrow priors must not win by their narrowness alone being left out.
         widths = np.array([0.5 * np.linalg.slogdet(form.log_size_covariance)[1] for form in forms.forms])
@@ -130,7 +130,7 @@ def start_fit(
     outline = order[np.repeat(first, count) + within]
     shared = np.zeros((len(vehicle), SHARED))
     shared[:, :3] = np.array([form.log_size for form in forms.forms])[family]
-    shared[:, 3 + MODES :] = [0.0, errors.swelling[0], errors.shadow[0]]
+    shared[:, 3 + MODES :] = [0.0, 0.0, errors.shadow[0]]
     shared[:, 3 + MODES] = np.array([form.mirror_m[0] for form in forms.forms])[family]
     place = camera.road_points(outlines.bottoms_px[outline], invalid="nan")
     place[:, 0] += np.exp(shared[hypothesis, 0]) / 2

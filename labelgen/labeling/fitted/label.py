@@ -285,10 +285,10 @@ def _hidden(seen: _Candidates, bodies: FittedBodies, frame_wh: tuple[int, int], 
     out = np.zeros(len(seen.mask))
     expected, measured = (support_polygons(reach, settings) for reach in (bodies.reach_px, seen.outlines.reach_px))
     for k in np.flatnonzero(bodies.found).tolist():
-        inside = cv2.intersectConvexConvex(expected[k], frame)
-        if inside[0] > 0:
-            common = cv2.intersectConvexConvex(inside[1].reshape(-1, 2), measured[k])[0]
-            out[k] = 1 - common / inside[0]
+        area, inside = cv2.intersectConvexConvex(cv2.convexHull(expected[k]), frame)
+        if area > 0:
+            common, _ = cv2.intersectConvexConvex(cv2.convexHull(inside), cv2.convexHull(measured[k]))
+            out[k] = 1 - common / area
     return out.clip(0, 1)
 
 

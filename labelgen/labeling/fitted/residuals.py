@@ -79,7 +79,9 @@ def compare(
     by_own = np.concatenate([normals[..., :2], by_heading[..., None]], axis=-1)
     down = np.maximum(settings.direction_vectors[:, 1], 0) ** settings.shadow_power
     sizes_px = outlines.sizes_px[rows]
-    beyond_px = shared[:, -2, None] + shared[:, -1, None] * sizes_px[:, None] * down
+    swollen_px = errors.swelling[1] + errors.swelling[2] * sizes_px
+    beyond_px = errors.swelling[0] + (shared[:, -2] * swollen_px)[:, None]
+    beyond_px = beyond_px + shared[:, -1, None] * sizes_px[:, None] * down
     miss_px = -gap * px_per_m[:, None] - beyond_px
 
     counts = np.bincount(p, minlength=len(fit.vehicle))[p].astype(np.float64)
@@ -104,7 +106,7 @@ def compare(
     by_shared[..., 3 : 3 + MODES] = modes
     by_shared[..., 3 + MODES] = by_mirror
     by_shared *= px_per_m[:, None, None]
-    by_shared[..., -2] = 1.0
+    by_shared[..., -2] = swollen_px[:, None]
     by_shared[..., -1] = sizes_px[:, None] * down
     return Residuals(
         miss,

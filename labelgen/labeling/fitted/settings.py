@@ -30,13 +30,14 @@ class MaskErrors:
     Args:
         outline_px: standard deviation of an outline's reach, px.
         outline_share: the part of it that grows with the mask, as a share of its size.
-        swelling: how far masks reach beyond vehicles in all directions, px.
+        swelling: how far masks of a vehicle reach beyond it in all directions: mean, px; standard deviation, px; and
+            the part of that which grows with the mask, as a share of its size.
         shadow: how far they reach below, as a share of their size.
     """
 
     outline_px: float
     outline_share: float
-    swelling: tuple[float, float]
+    swelling: tuple[float, float, float]
     shadow: tuple[float, float]
 
     @staticmethod
@@ -47,13 +48,13 @@ class MaskErrors:
         return NETWORK_MASKS if any(m.are_predicted for m in masks if len(m)) else DRAWN_MASKS
 
 
-EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25), (0.0, 0.002))
+EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25, 0.0), (0.0, 0.002))
 """Rendered masks."""
-DRAWN_MASKS = MaskErrors(0.5, 0.004, (0.0, 0.5), (0.0, 0.003))
+DRAWN_MASKS = MaskErrors(0.5, 0.004, (0.0, 0.5, 0.003), (0.0, 0.003))
 """Masks that are no predictions: drawn by hand, or rendered."""
-NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 1.0), (0.0, 0.01))
+NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 0.7, 0.012), (0.0, 0.01))
 """Masks of a segmentation network: coarse, without shadows."""
-SILHOUETTE_MASKS = MaskErrors(0.7, 0.015, (0.3, 0.7), (0.03, 0.035))
+SILHOUETTE_MASKS = MaskErrors(0.7, 0.015, (0.3, 0.6, 0.008), (0.03, 0.035))
 """Masks of the background model: with some of the shadow beneath the vehicle."""
 
 
@@ -79,7 +80,7 @@ class BodyFitSettings:
     """Power of the downward component of a direction with which a shadow's reach falls off."""
     hidden_cost: float = 8.0
     """What must be saved by taking one side of a vehicle for hidden."""
-    side_angle: float = 1.0
+    side_angle: float = 0.8
     """Half the angle of directions that belong to a side, radians."""
     first_steps: int = 6
     """Steps of all hypotheses."""
@@ -87,7 +88,7 @@ class BodyFitSettings:
     """Steps of those that are left."""
     margin: float = 6.0
     """Hypotheses that cost so much more than the best after the first steps are dropped."""
-    sigma_scale: float = 1.0
+    sigma_scale: float = 1.15
     """Factor of the stated standard deviations, by which they hold what they state on real cars' shapes."""
     max_log_step: float = 0.2
     """Largest change of a size's logarithm per step."""
