@@ -13,7 +13,7 @@ from labelgen.geometry.camera import Camera
 from labelgen.geometry.homography import Array
 from labelgen.labeling.fitted.hypotheses import BodyFit, Priors, start_fit
 from labelgen.labeling.fitted.outlines import Outlines
-from labelgen.labeling.fitted.path import expected_path
+from labelgen.labeling.fitted.path import back_to_path, expected_path
 from labelgen.labeling.fitted.residuals import Residuals, compare
 from labelgen.labeling.fitted.settings import BodyFitSettings, MaskErrors
 
@@ -121,6 +121,7 @@ def fit_bodies(
     cost = _costs(fit, priors, problem)
     keep = cost <= _best(fit.vehicle, cost, len(signs))[fit.vehicle] + settings.margin
     fit, priors = fit.select(keep), priors.select(keep)
+    fit = back_to_path(fit, times_s, settings)
     fit = _steps(fit, priors, problem, settings.last_steps)
     cost = _costs(fit, priors, problem)
     order = np.lexsort((cost, fit.vehicle))

@@ -16,7 +16,8 @@ from labelgen.labeling.fitted.settings import MaskErrors
 __all__ = ["SHARED", "BodyFit", "Priors", "start_fit"]
 
 SHARED = 3 + MODES + 3
-"""Parameters that a vehicle's sightings share: log length, width, height; form; mirrors, swelling in standard deviations, shadow."""
+"""Parameters that a vehicle's sightings share: log length, width, height; form; mirrors, swelling, shadow. Swelling is
+in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)

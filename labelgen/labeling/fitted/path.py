@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from labelgen.geometry.homography import Array
 from labelgen.labeling.fitted.hypotheses import BodyFit
 from labelgen.labeling.fitted.settings import BodyFitSettings
 
-__all__ = ["expected_path"]
+__all__ = ["back_to_path", "expected_path"]
 
 _FEWEST = 3
 """Sightings from which a path is drawn through them."""
 _ROUNDS = 3
 _FREE = 1e-6
+
+
+def back_to_path(fit: BodyFit, times_s: Array, settings: BodyFitSettings) -> BodyFit:
+    """Return the fit with sightings that strayed from the vehicle's path put back on it.
+
+    A mask that lacks a side fits a body that stands too far to the other side as well.
+    """
+    expected, precision = expected_path(fit, times_s, settings)
+    strayed = precision[:, :2] * (expected[:, :2] - fit.place) ** 2 > settings.path_robust**2
+    return replace(fit, place=np.where(strayed.any(axis=1)[:, None], expected[:, :2], fit.place))
 
 
 def expected_path(fit: BodyFit, times_s: Array, settings: BodyFitSettings) -> tuple[Array, Array]:

@@ -86,21 +86,22 @@ def compare(
 
     counts = np.bincount(p, minlength=len(fit.vehicle))[p].astype(np.float64)
     form_error = np.array([form.error_m for form in forms.forms])[fit.family[p]] * px_per_m
-    error = np.sqrt(
-        errors.outline_px**2
-        + (errors.outline_share * sizes_px) ** 2
-        + form_error**2 * counts**settings.shared_error_power
-    )
+    mask_error = errors.outline_px**2 + (errors.outline_share * sizes_px) ** 2
+    error = np.sqrt(mask_error + form_error**2)
+    # All sightings together say less than independent ones, but what lies far off is as far off in each.
+    share = error**2 / (mask_error + form_error**2 * counts**settings.shared_error_power)
     miss = miss_px / error[:, None]
-    weights = settings.direction_weight / (1 + (miss / settings.robust) ** 2)
-    cost = settings.direction_weight * settings.robust**2 / 2 * np.log1p((miss / settings.robust) ** 2)
+    weights = settings.direction_weight / (1 + (miss / errors.robust) ** 2)
+    cost = settings.direction_weight * errors.robust**2 / 2 * np.log1p((miss / errors.robust) ** 2)
     # A body may reach beyond what the picture's border cuts.
     short = miss < 0
     free = outlines.open[rows] & short
-    hidden = _hidden_side(np.where(short & ~free, cost, 0.0), settings)
+    # A single sighting cannot tell a hidden side from another form.
+    price = settings.hidden_cost * (1 + 1 / counts)
+    hidden = _hidden_side(np.where(short & ~free, cost, 0.0), price, settings)
     free |= hidden & short
-    weights, cost = np.where(free, 0.0, weights), np.where(free, 0.0, cost)
-    costs = cost.sum(axis=-1) + settings.hidden_cost * hidden.any(axis=1)
+    weights = share[:, None] * np.where(free, 0.0, weights)
+    costs = np.where(free, 0.0, cost).sum(axis=-1) + price * hidden.any(axis=1)
     by_shared = np.zeros((*miss.shape, SHARED))
     by_shared[..., :3] = by_size
     by_shared[..., 3 : 3 + MODES] = modes
@@ -113,22 +114,23 @@ def compare(
         weights,
         by_own * (px_per_m / error)[:, None, None],
         by_shared / error[:, None, None],
-        costs,
+        share * costs,
         error,
     )
 
 
-def _hidden_side(costs: Array, settings: BodyFitSettings) -> NDArray[np.bool_]:
+def _hidden_side(costs: Array, price: Array, settings: BodyFitSettings) -> NDArray[np.bool_]:
     """Return the directions (R, M) in which each sighting is hidden: those of the side where masks lack most.
 
     Args:
         costs: (R, M) of the directions in which the mask is shorter than the body.
+        price: (R,) what must be saved by it.
         settings: of the fit.
     """
     sides = settings.sides
     saved = costs @ sides.T
     best = saved.argmax(axis=1)
-    return np.asarray(sides[best] & (saved[np.arange(len(best)), best] > settings.hidden_cost)[:, None])
+    return np.asarray(sides[best] & (saved[np.arange(len(best)), best] > price)[:, None])
 
 
 def _mirrors(fit: BodyFit, forms: BodyForms, size: Array, own: Array) -> tuple[Array, Array]:

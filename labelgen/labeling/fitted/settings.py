@@ -33,12 +33,15 @@ class MaskErrors:
         swelling: how far masks of a vehicle reach beyond it in all directions: mean, px; standard deviation, px; and
             the part of that which grows with the mask, as a share of its size.
         shadow: how far they reach below, as a share of their size.
+        robust: residual, in standard deviations, at which a direction has half its weight: less where parts of outlines
+            are often quite wrong.
     """
 
     outline_px: float
     outline_share: float
     swelling: tuple[float, float, float]
     shadow: tuple[float, float]
+    robust: float = 1.5
 
     @staticmethod
     def of(masks: Sequence[InstanceMasks], *, are_silhouettes: bool) -> MaskErrors:
@@ -48,9 +51,9 @@ class MaskErrors:
         return NETWORK_MASKS if any(m.are_predicted for m in masks if len(m)) else DRAWN_MASKS
 
 
-EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25, 0.0), (0.0, 0.002))
+EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25, 0.0), (0.0, 0.002), 2.5)
 """Rendered masks."""
-DRAWN_MASKS = MaskErrors(0.5, 0.004, (0.0, 0.5, 0.003), (0.0, 0.003))
+DRAWN_MASKS = MaskErrors(0.5, 0.004, (0.0, 0.5, 0.003), (0.0, 0.003), 2.5)
 """Masks that are no predictions: drawn by hand, or rendered."""
 NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 0.7, 0.012), (0.0, 0.01))
 """Masks of a segmentation network: coarse, without shadows."""
@@ -68,18 +71,16 @@ class BodyFitSettings:
     """Independent measurements that all directions together count as: errors of neighbouring ones are alike."""
     shared_error_power: float = 0.7
     """Errors of a body's form are alike in all sightings: their variance grows with this power of their number."""
-    robust: float = 1.5
-    """Residual, in standard deviations, at which a direction has half its weight."""
     heading_sd: float = 0.01
     """Standard deviation of a vehicle's direction around VP1's, radians."""
-    path_sd_m: tuple[float, float] = (0.6, 0.2)
+    path_sd_m: tuple[float, float] = (0.5, 0.12)
     """Standard deviations of a sighting's place from the vehicle's steady path, along and across the road, metres."""
     path_robust: float = 1.5
     """Distance from the path, in standard deviations, at which a sighting has half its weight in it."""
     shadow_power: int = 12
     """Power of the downward component of a direction with which a shadow's reach falls off."""
     hidden_cost: float = 8.0
-    """What must be saved by taking one side of a vehicle for hidden."""
+    """What must be saved by taking one side of a vehicle for hidden in many sightings; twice as much in a single one."""
     side_angle: float = 0.8
     """Half the angle of directions that belong to a side, radians."""
     first_steps: int = 6
