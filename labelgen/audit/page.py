@@ -140,12 +140,10 @@ def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source
         options=MaskOptions.from_dict(options),
     )
     rule = Rule.parse(str(_setting(data, "rule", Rule.WIDER)))
-    if not rule.is_of_tangents:
-        raise DataError(f"labels by the rule {rule} come from whole passages, not from one mask's tangents")
     masks = _masks_of(original, sample.frame, frames, mask_source)
     for i in sorted(range(len(masks)), key=lambda i: -int(masks.crops[i].sum())):
         x, y = (int(v) for v in masks.origins[i])
-        figure = mask_label_figure(original, masks.crops[i], (x, y), sample.rectification, rule)
+        figure = mask_label_figure(original, masks.crops[i], (x, y), sample.rectification, rule, sample.labels)
         if figure is not None:
             return figure
     raise DataError("no mask of the first labelled frame gives a label")

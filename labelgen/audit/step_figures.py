@@ -24,14 +24,18 @@ from labelgen.drawing import (
     tile_pictures,
 )
 from labelgen.geometry.box_codec import decode_boxes
+from labelgen.geometry.boxes import iou_matrix
 from labelgen.geometry.camera import Camera
-from labelgen.geometry.homography import apply_homography
-from labelgen.geometry.outline_label import label_outlines, rectified_outline
+from labelgen.geometry.homography import Array, apply_homography
+from labelgen.geometry.outline_label import RectifiedOutline, label_outlines, rectified_outline
 from labelgen.geometry.rectification import Rectification
+from labelgen.labels import Labels
 
 __all__ = ["mask_label_figure", "rectification_figure"]
 
 _PANEL = 420
+_LEAST_OVERLAP = 0.2
+"""IoU of a mask's box and a label's from which on they show the same vehicle."""
 
 
 def rectification_figure(
@@ -103,18 +107,20 @@ def mask_label_figure(
     origin_px: tuple[int, int],
     rectification: Rectification,
     rule: Rule,
+    labels: Labels | None = None,
 ) -> NDArray[np.uint8] | None:
     """Draw the steps from a mask to its label in four panels.
 
-    They show the mask in the frame, the rectified mask with its box, the tangents with both candidates for c_c, and the
-    label with its 3D box.
+    They show the mask in the frame, the rectified mask with its box, the tangents with both candidates for c_c or the
+    fitted cuboid over the mask, and the label with its 3D box.
 
     Args:
         picture: (H, W, 3) uint8 BGR, the frame.
         mask: (h, w) bool, the part of the instance mask that starts at `origin_px`.
         origin_px: frame px of the mask's first pixel.
         rectification: of the frame.
-        rule: how the two candidates become one c_c.
+        rule: of the label.
+        labels: of the frame, which say the label where it does not come from this mask alone.
 
     Returns:
         (h, w, 3) uint8 BGR; None where the mask gives no label.
@@ -122,9 +128,18 @@ def mask_label_figure(
     outline = rectified_outline(rectification, mask, origin_px)
     if outline is None:
         return None
-    label = label_outlines([outline], rectification.vpu, rule)
-    vertices, valid = decode_boxes(label.boxes_xyxy, label.cc, rectification.vpu)
-    if not (label.valid[0] and valid[0]):
+    if rule.is_of_tangents:
+        label = label_outlines([outline], rectification.vpu, rule)
+        if not label.valid[0]:
+            return None
+        box, cc = label.boxes_xyxy[0], float(label.cc[0])
+    else:
+        found = _label_of(outline, labels)
+        if found is None:
+            return None
+        box, cc = found
+    vertices, valid = decode_boxes(box, [cc], rectification.vpu)
+    if not valid[0]:
         return None
     x, y = origin_px
     coloured = picture.copy()
@@ -138,12 +153,45 @@ def mask_label_figure(
     tinted = flat.copy()
     inside = rectification.warp_mask(whole)
     tinted[inside] = (0.5 * tinted[inside] + 0.5 * np.array(CYAN)).astype(np.uint8)
-    box = label.boxes_xyxy[0]
     mask_panel, to_panel = crop_around(tinted, box, 0.4, _PANEL)
     corners = apply_homography(to_panel, box[[0, 1, 2, 1, 2, 3, 0, 3]].reshape(4, 2))
-    draw_polyline(mask_panel, corners, GREEN, closed=True)
     draw_polyline(mask_panel, apply_homography(to_panel, outline.hull), WHITE, closed=True)
+    third_panel = mask_panel.copy()
+    draw_polyline(mask_panel, corners, GREEN, closed=True)
+    if rule.is_of_tangents:
+        third_panel, third_text = _tangents(mask_panel, to_panel, rectification, outline, label.candidates[0], corners)
+    else:
+        draw_box3d(third_panel, apply_homography(to_panel, vertices[0]))
+        third_text = "3 cuboid of the fitted body"
 
+    label_panel, _ = crop_around(flat, box, 0.4, _PANEL)
+    draw_box3d(label_panel, apply_homography(to_panel, vertices[0]))
+    draw_polyline(label_panel, corners, GREEN, closed=True)
+    panels = [frame_panel, mask_panel, third_panel, label_panel]
+    texts = ("1 mask in the frame", "2 rectified: box and hull", third_text, f"4 label: c_c {cc:.3f} ({rule})")
+    for panel, text in zip(panels, texts, strict=True):
+        draw_text(panel, text, (8, 18), 0.45)
+    return tile_pictures(panels, 4)
+
+
+def _label_of(outline: RectifiedOutline, labels: Labels | None) -> tuple[Array, float] | None:
+    """Return box and c_c of the label that lies around an outline best; None where none does."""
+    if labels is None or not len(labels):
+        return None
+    overlaps = iou_matrix(outline.box_xyxy[None], labels.boxes_xyxy)[0]
+    best = int(overlaps.argmax())
+    return (labels.boxes_xyxy[best], float(labels.cc[best])) if overlaps[best] > _LEAST_OVERLAP else None
+
+
+def _tangents(
+    mask_panel: NDArray[np.uint8],
+    to_panel: Array,
+    rectification: Rectification,
+    outline: RectifiedOutline,
+    candidates: Array,
+    corners: Array,
+) -> tuple[NDArray[np.uint8], str]:
+    """Return the panel of the tangents with both candidates for c_c, and its text."""
     tangent_panel = mask_panel.copy()
     vpu = apply_homography(to_panel, rectification.vpu[None])[0]
     hull = apply_homography(to_panel, outline.hull)
@@ -151,20 +199,7 @@ def mask_label_figure(
     for touch in (int(slope.argmin()), int(slope.argmax())):
         draw_polyline(tangent_panel, [vpu, vpu + 3 * (hull[touch] - vpu)], MAGENTA)
         cv2.circle(tangent_panel, tuple(int(v) for v in hull[touch]), 4, MAGENTA, -1, cv2.LINE_AA)
-    for candidate in label.candidates[0]:
+    for candidate in candidates:
         level = corners[0, 1] + candidate * (corners[2, 1] - corners[0, 1])
         draw_polyline(tangent_panel, [[corners[0, 0], level], [corners[1, 0], level]], YELLOW)
-
-    label_panel, _ = crop_around(flat, box, 0.4, _PANEL)
-    draw_box3d(label_panel, apply_homography(to_panel, vertices[0]))
-    draw_polyline(label_panel, corners, GREEN, closed=True)
-    panels = [frame_panel, mask_panel, tangent_panel, label_panel]
-    texts = (
-        "1 mask in the frame",
-        "2 rectified: box and hull",
-        f"3 tangents; candidates {label.candidates[0, 0]:.3f}, {label.candidates[0, 1]:.3f}",
-        f"4 label: c_c {label.cc[0]:.3f} ({rule})",
-    )
-    for panel, text in zip(panels, texts, strict=True):
-        draw_text(panel, text, (8, 18), 0.45)
-    return tile_pictures(panels, 4)
+    return tangent_panel, f"3 tangents; candidates {candidates[0]:.3f}, {candidates[1]:.3f}"

@@ -21,7 +21,6 @@ from labelgen.cli.options import (
     PairOption,
     QualityOption,
     RoadMaskOption,
-    RuleOption,
     ScaleMasksOption,
     SceneSizeOption,
     StreamOption,
@@ -61,7 +60,14 @@ def bcs_masks(
     scale_masks: ScaleMasksOption = False,
     classes: ClassesOption = None,
     tiles: TilesOption = None,
-    rule: RuleOption = Rule.WIDER,
+    rule: Annotated[
+        Rule | None,
+        typer.Option(
+            "--rule",
+            case_sensitive=False,
+            help="How masks become labels; fitted by default, wider where the calibration has no scale.",
+        ),
+    ] = None,
     every: Annotated[
         int | None,
         typer.Option(

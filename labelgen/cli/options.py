@@ -96,7 +96,9 @@ PairOption = Annotated[
         help="Vanishing points whose directions become axis-parallel.",
     ),
 ]
-RuleOption = Annotated[Rule, typer.Option("--rule", case_sensitive=False, help="How masks become labels.")]
+RuleOption = Annotated[
+    Rule, typer.Option("--rule", case_sensitive=False, help="How the two candidates of c_c become one.")
+]
 CalibrationOption = Annotated[
     Path | None,
     typer.Option(

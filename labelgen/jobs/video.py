@@ -18,7 +18,8 @@ import numpy as np
 from labelgen.before_torch import check_device, check_torch_file
 from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.scene import Scene, SceneFiles
-from labelgen.errors import LabelgenError, NoVehiclesError
+from labelgen.errors import CalibrationError, LabelgenError, NoVehiclesError
+from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Rectification
 from labelgen.jobs.frame_labels import FrameLabeler, LabelledFrame, PassageLabeler, SingleFrameLabeler
 from labelgen.jobs.runner import Job, Progress, finished_part
@@ -64,7 +65,7 @@ class MaskSettings:
         masks: name of a mask source, see `labelgen.masks.parse_masks`.
         weights: state dict for Mask R-CNN; None for the COCO weights.
         score: least score of a mask, in [0, 1].
-        rule: how masks become labels.
+        rule: how masks become labels; None for `Rule.FITTED`, and `Rule.WIDER` where a camera has no scale.
         limits: thresholds for labels.
         device: torch device; None for the GPU where there is one.
         options: of the mask source, where it takes any.
@@ -73,7 +74,7 @@ class MaskSettings:
     masks: str = "maskrcnn"
     weights: Path | None = None
     score: float = 0.5
-    rule: Rule = Rule.WIDER
+    rule: Rule | None = None
     limits: LabelLimits = LABEL_LIMITS
     device: str | None = None
     options: MaskOptions = MASK_OPTIONS
@@ -142,6 +143,7 @@ def video_job(
         LabelgenError: an input is given twice, or a calibration, road mask or mask source is not usable.
     """
     codec = codec or ImageCodec()
+    settings = _with_rule(settings, scenes, region)
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     # Only where they are given, so that other shards stay as they are.
     if keyframes:
@@ -198,6 +200,27 @@ def _check_keyframes(source: MaskSource, masks: str) -> None:
             f"keyframes: masks {masks} learn from all frames, so these must be decoded in any case; leave it out",
             parameter="keyframes",
         )
+
+
+def _with_rule(settings: MaskSettings, scenes: Sequence[SceneFiles], region: Region) -> MaskSettings:
+    """Return the settings with a rule that goes with all cameras.
+
+    Raises:
+        CalibrationError: the fitted rule is wanted, and a camera has no scale.
+    """
+    if settings.rule not in (None, Rule.FITTED) or region is Region.NONE:
+        return settings if settings.rule else replace(settings, rule=Rule.WIDER)
+    lacking = [files.name for files in scenes if Camera.load(files.calibration_path).scale is None]
+    if not lacking:
+        return replace(settings, rule=Rule.FITTED)
+    if settings.rule is Rule.FITTED:
+        raise CalibrationError(
+            f"{lacking[0]}: its calibration has no scale, which the rule fitted needs; choose another rule, or add "
+            "'scale' to the calibration",
+            parameter="rule",
+        )
+    _log.info("%s: its calibration has no scale: labels by the rule wider, without bodies", lacking[0])
+    return replace(settings, rule=Rule.WIDER)
 
 
 def _no_masks(source: MaskSource) -> NoVehiclesError | None:
@@ -395,7 +418,9 @@ class VideoUnit:
             return self.codec.encode(rectification.warp_image(frame.image))
 
         if self.masks.rule is not Rule.FITTED or self.region is Region.NONE:
-            return SingleFrameLabeler(scene, rectification, self.region, self.masks.rule, self.masks.limits, encode)
+            return SingleFrameLabeler(
+                scene, rectification, self.region, self.masks.rule or Rule.WIDER, self.masks.limits, encode
+            )
         return PassageLabeler(
             scene,
             rectification,

@@ -12,7 +12,9 @@ PUBLIC_NAMES = {
         cuboid_sizes decode_boxes encode_boxes front_bottom_midpoints label_outlines mask_outline mask_polygon
         parse_size rectified_outline rectify_windows reorder_vertices road_cuboids tangent_boxes window_around
     """,
-    "labelgen.labeling": "BoxLimits FrameLabels LabelLimits MaskReject flat_labels label_boxes label_masks",
+    "labelgen.labeling": """
+        BoxLimits FrameLabels LabelLimits MaskReject SeenFrame flat_labels label_boxes label_masks label_passages
+    """,
     "labelgen.shards": """
         DatasetSummary Reject ShardDataset ShardReader ShardSet ShardWriter
         find_shards merge_shards read_index summarise validate_shard validate_shards write_index

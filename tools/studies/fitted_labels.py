@@ -311,8 +311,8 @@ def _row(name: str, result: Result) -> str:
 
 
 _HEADER = (
-    "| {} | n | no label | IoU median | p5 | c_c median | p95 | length / width / height, % | along, m | p95 | within, % "
-    "| ms |\n| --- |" + " ---: |" * 11
+    "| {} | n | no label | IoU median | p5 | c_c median | p95 | length / width / height, % | along, m | p95 "
+    "| within, % | ms |\n| --- |" + " ---: |" * 11
 )
 
 

@@ -134,7 +134,9 @@ def label_passages(
     if not len(seen.frame):
         return [rejected.result(Labels.empty()) for rejected in rejections]
     times = np.array([frame.time_s for frame in frames])[seen.frame]
-    vehicles = join_passages(_sightings(seen, times, camera))
+    # Without times nothing can be joined: every mask is a vehicle of its own.
+    timed = np.isfinite(times).all() and (np.diff(times) >= 0).all()
+    vehicles = join_passages(_sightings(seen, times, camera)) if timed else np.arange(len(times))
     bodies = _fit(seen, vehicles, times, camera, errors, settings)
     return _labels(frames, seen, bodies, rectification, camera, road, limits, settings, rejections)
 

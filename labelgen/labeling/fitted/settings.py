@@ -80,7 +80,7 @@ class BodyFitSettings:
     shadow_power: int = 12
     """Power of the downward component of a direction with which a shadow's reach falls off."""
     hidden_cost: float = 8.0
-    """What must be saved by taking one side of a vehicle for hidden in many sightings; twice as much in a single one."""
+    """What must be saved by taking a side of a vehicle for hidden in many sightings; twice as much in a single one."""
     side_angle: float = 0.8
     """Half the angle of directions that belong to a side, radians."""
     first_steps: int = 6

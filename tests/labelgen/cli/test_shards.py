@@ -28,9 +28,11 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("data")
     write_tree(root / "tree", vehicles=4)
     clip = write_clip(root / "clip", 20)
+    masks = ["bcs-masks", clip, "--masks", f"coco:{root / 'clip' / 'masks.json'}", "--every", "5"]
     commands = [
         ["boxcars", "--root", root / "tree", "--out", root / "boxcars", "--cameras", "all", "--all-directions"],
-        ["bcs-masks", clip, "--masks", f"coco:{root / 'clip' / 'masks.json'}", "--every", "5", "--out", root / "masks"],
+        [*masks, "--rule", "wider", "--out", root / "masks"],
+        [*masks, "--out", root / "fitted"],
     ]
     for command in commands:
         done = CliRunner().invoke(app, [str(part) for part in command])
@@ -47,6 +49,27 @@ def test_inspect(labelgen, shards: Path, tmp_path: Path) -> None:
     assert data["settings"]["rule"] == "wider"
     assert set(data["spread"]) == {"c_c", "box width, px", "box height, px", "labels per image"}
     assert "VP2-VP3" in done.stdout
+
+
+def test_fitted_labels_are_the_default_and_state_their_deviations(labelgen, shards: Path, tmp_path: Path) -> None:
+    data = ShardDataset(shards / "fitted")
+    assert data.readers[0].settings["rule"] == "fitted"
+    for sample in data:
+        assert np.isfinite(sample.labels.sigmas).all()
+        assert np.isnan(sample.labels.candidates).all()
+    clip = shards / "clip" / "clip.mp4"
+    calibration = json.loads((shards / "clip" / "clip.calibration.json").read_text())
+    del calibration["camera_calibration"]["scale"]
+    (tmp_path / "unscaled.json").write_text(json.dumps(calibration))
+    command = ("bcs-masks", clip, "--masks", f"coco:{shards / 'clip' / 'masks.json'}", "--every", 5)
+    done = labelgen(*command, "--calibration", "unscaled.json", "--out", "unscaled")
+    assert done.returncode == 0, done.stderr
+    assert "has no scale: labels by the rule wider" in done.stderr
+    assert ShardDataset(tmp_path / "unscaled").readers[0].settings["rule"] == "wider"
+    done = labelgen(*command, "--calibration", "unscaled.json", "--rule", "fitted", "--out", "refused")
+    assert done.returncode == 2
+    assert "no scale, which the rule fitted needs" in done.stderr
+    assert not (tmp_path / "refused").exists()
 
 
 def test_validate_finds_one_changed_byte(labelgen, shards: Path, tmp_path: Path) -> None:
@@ -87,14 +110,14 @@ def test_merge(labelgen, shards: Path, tmp_path: Path) -> None:
     assert "one of the folders to merge" in labelgen("merge", "both", "--out", "both").stderr
 
 
-@pytest.mark.parametrize("name", ["boxcars", "masks"])
+@pytest.mark.parametrize("name", ["boxcars", "masks", "fitted"])
 def test_audit(labelgen, shards: Path, tmp_path: Path, name: str) -> None:
     done = labelgen("audit", shards / name, "--out", "look", "--count", 12, "--json", "a.json")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "a.json").read_text())
     chapters = set(report["pictures"])
     assert {"Statistics", "Steps of the rectification"} <= chapters
-    assert ("Steps from mask to label" in chapters) == (name == "masks")
+    assert ("Steps from mask to label" in chapters) == (name != "boxcars")
     page = (tmp_path / "look" / "index.html").read_text()
     for pictures in report["pictures"].values():
         assert pictures
@@ -151,7 +174,7 @@ def test_an_audit_shows_ignored_boxes_dashed_with_their_reason(labelgen, tmp_pat
 
 def test_masks_without_a_label_become_ignored_boxes(labelgen, shards: Path, tmp_path: Path) -> None:
     clip = shards / "clip" / "clip.mp4"
-    options = [clip, "--masks", f"coco:{shards / 'clip' / 'masks.json'}", "--every", "5"]
+    options = [clip, "--masks", f"coco:{shards / 'clip' / 'masks.json'}", "--every", "5", "--rule", "wider"]
     boxes = [sample.labels.boxes_xyxy for sample in ShardDataset(shards / "masks")]
     heights = np.array([pair[:, 3] - pair[:, 1] for pair in boxes])  # (frames, 2)
     limit = float(heights[0].mean())

@@ -32,9 +32,9 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_key_frames_and_their_labels(labelgen, clip: Path, tmp_path: Path, options: tuple, frames: list[int]) -> None:
     masks = ("--masks", f"coco:{clip.parent / 'masks.json'}")
-    done = labelgen("bcs-masks", clip, *masks, "--keyframes", *options, "--out", "keys")
+    done = labelgen("bcs-masks", clip, *masks, "--rule", "wider", "--keyframes", *options, "--out", "keys")
     assert done.returncode == 0, done.stderr
-    done = labelgen("bcs-masks", clip, *masks, "--every", 6, "--out", "all")
+    done = labelgen("bcs-masks", clip, *masks, "--rule", "wider", "--every", 6, "--out", "all")
     assert done.returncode == 0, done.stderr
     expected = {sample.frame: sample for sample in ShardDataset([tmp_path / "all"])}
     samples = list(ShardDataset([tmp_path / "keys"]))
