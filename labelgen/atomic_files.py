@@ -18,6 +18,8 @@ __all__ = [
     "as_output_error",
     "make_folder",
     "remove_temporary_files",
+    "sync_file",
+    "sync_folder",
     "write_atomic",
     "write_json",
 ]
@@ -93,10 +95,20 @@ def write_atomic(path: Path, data: bytes | memoryview) -> None:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             raise
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_file(path: Path) -> None:
+    """Flush a file to disk.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
     """Flush a folder to disk, so that a rename survives a power cut, where the system supports it."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)

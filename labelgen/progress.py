@@ -1,19 +1,17 @@
-"""Progress bars, and interruption between two items."""
+"""Progress bars."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 
 from tqdm import tqdm
 
 from labelgen.printable import printable
 
-__all__ = ["defer_interrupt", "progress_bar"]
+__all__ = ["progress_bar"]
 
 _LOG_INTERVAL_S = 10.0
 
@@ -50,28 +48,3 @@ def progress_bar(total: int | None, unit: str, title: str = "") -> Iterator[Call
         raise
     finally:
         bar.close()
-
-
-@contextlib.contextmanager
-def defer_interrupt() -> Iterator[Callable[[], bool]]:
-    """Defer the first interruption (Ctrl-C), so that the item in work is finished; a second one acts at once.
-
-    Yields:
-        A function that returns whether an interruption came.
-    """
-    interrupted = False
-
-    def remember(number: int, frame: object) -> None:
-        nonlocal interrupted
-        if interrupted:
-            raise KeyboardInterrupt
-        interrupted = True
-
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: interrupted
-        return
-    before = signal.signal(signal.SIGINT, remember)
-    try:
-        yield lambda: interrupted
-    finally:
-        signal.signal(signal.SIGINT, before)

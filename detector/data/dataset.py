@@ -27,6 +27,7 @@ from labelgen.geometry.homography import Array
 from labelgen.labels import IgnoredBoxes, Labels, Sample
 from labelgen.media.image_file import decode_image
 from labelgen.shards import ShardDataset, ShardReader
+from labelgen.shards.dataset import check_finished
 
 __all__ = [
     "Batch",
@@ -103,13 +104,14 @@ def open_sources(
         one source per path that has samples.
 
     Raises:
-        DataError: no samples, or shards of another pair or size.
+        DataError: no samples, shards of another pair or size, or a folder whose data set is not finished.
     """
     sources = []
     for text in map(str, paths):
         place, _, number = text.rpartition(":")
         weight = _weight(number) if place and not Path(text).exists() else None
         shards = ShardDataset([text if weight is None else place])
+        check_finished(Path(text if weight is None else place), shards.readers)
         crops = [reader.settings.get("kind") == _CROPS_KIND for reader in shards.readers]
         if len(set(crops)) > 1:
             raise DataError(f"{text}: it holds both crops and whole pictures; name their folders one by one")

@@ -23,7 +23,10 @@ from detector.evaluation.summary import (
 )
 from detector.evaluation.tables import CALIBRATION_COLUMNS, LUVIZON_COLUMNS, SPEED_COLUMNS, TableFormat, format_table
 
-__all__ = ["LuvizonReport", "SpeedReport"]
+__all__ = ["PLOT_NAMES", "LuvizonReport", "SpeedReport"]
+
+PLOT_NAMES = ("cumulative_absolute.png", "cumulative_relative.png")
+"""Files of `SpeedReport.write_plots`."""
 
 Row = dict[str, Value]
 
@@ -130,17 +133,17 @@ class SpeedReport:
         return "\n".join(lines)
 
     def write_plots(self, folder: Path) -> None:
-        """Write cumulative_absolute.png and cumulative_relative.png into an existing folder.
+        """Write the files of `PLOT_NAMES` into an existing folder.
 
         Raises:
             OutputError: a file cannot be written.
         """
-        for errors, unit, name in ((absolute_errors, "km/h", "absolute"), (relative_errors, "%", "relative")):
+        for errors, unit, name in zip((absolute_errors, relative_errors), ("km/h", "%"), PLOT_NAMES, strict=True):
             values = {
                 system: np.concatenate([errors(result.score) for result in results])
                 for system, results in self.results.items()
             }
-            plot_cumulative_errors(values, folder / f"cumulative_{name}.png", unit=unit)
+            plot_cumulative_errors(values, folder / name, unit=unit)
 
 
 def _common(results: Sequence[ScoredResult]) -> list[ScoredResult]:

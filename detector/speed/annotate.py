@@ -14,9 +14,8 @@ from detector.speed.detections import Detections
 from detector.speed.view import MeasurementView
 from detector.tracking.iou_tracker import DUPLICATE
 from detector.visualize import draw_boxes
-from labelgen.atomic_files import as_output_error
 from labelgen.drawing import CYAN, GREEN, WHITE, YELLOW, Picture, draw_box3d, draw_polyline, draw_text
-from labelgen.errors import LabelgenError, OutputError
+from labelgen.errors import LabelgenError
 from labelgen.media.frames import Frame
 from labelgen.media.video_writer import VideoWriter
 
@@ -92,7 +91,7 @@ class AnnotatedVideo:
     """
 
     def __init__(self, path: Path, view: MeasurementView, fps: float) -> None:
-        self.path, self._view = path, view
+        self._view = view
         width, height = view.frame_wh
         self._even_wh = (width - width % 2, height - height % 2)
         self._writer = VideoWriter(path, fps, self._even_wh)
@@ -122,18 +121,7 @@ class AnnotatedVideo:
         annotate(image, self._view, detections, ids, speeds_kmh, self._trails)
         clock = f"{frame.time_s:8.2f} s" if np.isfinite(frame.time_s) else ""
         draw_text(image, f"frame {frame.number} {clock}", (6, image.shape[0] - 8), 0.4)
-        self._guard(self._writer.write, image)
-
-    def _guard(self, function: Any, *arguments: Any) -> None:
-        """Call a function of the writer and turn its errors into an OutputError."""
-        # Errors of PyAV are FFmpegErrors; those caused by the system are OSErrors as well.
-        from av.error import FFmpegError
-
-        try:
-            with as_output_error(self.path):
-                function(*arguments)
-        except FFmpegError as err:
-            raise OutputError(f"cannot write {self.path}: {err.strerror or err}") from None
+        self._writer.write(image)
 
     def __enter__(self) -> AnnotatedVideo:
         return self
@@ -141,12 +129,7 @@ class AnnotatedVideo:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            self._guard(self._writer.__exit__, kind, value, trace)
-        except OutputError:
-            # An error that ended the block is the cause; it must not be replaced.
-            if kind is None:
-                raise
+        self._writer.__exit__(kind, value, trace)
 
 
 def draw_detections(view: MeasurementView, frame: NDArray[np.uint8], detections: Detections) -> Picture:

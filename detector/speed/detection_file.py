@@ -33,6 +33,7 @@ from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
 from labelgen.json_file import parse_json
 from labelgen.printable import printable
+from labelgen.staged_output import is_staged
 
 __all__ = ["DetectionFile", "detections_head"]
 
@@ -94,8 +95,10 @@ class DetectionFile:
             path: of the file.
 
         Raises:
-            DataError: no such file, or not of this format.
+            DataError: no such file, not of this format, or of a run that has not ended.
         """
+        if is_staged(path):
+            raise DataError(f"detections {path}: of a run that has not ended; wait for it, or run it again")
         try:
             with path.open("rb") as file:
                 head = _parse(path, 1, file.readline().decode("utf-8-sig"))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from detector.checkpoint import ModelMetadata
     from detector.inference import Detector
 
-__all__ = ["DetectorDetections", "model_view"]
+__all__ = ["DetectorDetections", "model_variant", "model_view"]
 
 
 def model_view(
@@ -39,6 +39,19 @@ def model_view(
         LabelgenError: the variant needs images of another region, or c_c from a model without it.
         RectificationError: the scene admits no rectification of the pair and size of the model.
     """
+    variant = model_variant(metadata, variant)
+    if metadata.region is Region.NONE:
+        rectification = Rectification.of_region(metadata.region, camera, road, metadata.pair, metadata.size_wh)
+        return MeasurementView(variant, camera, rectification)
+    return MeasurementView.create(variant, camera, road, metadata.pair, metadata.size_wh)
+
+
+def model_variant(metadata: ModelMetadata, variant: Variant | None = None) -> Variant:
+    """Return how a model's detections are measured; see `model_view`.
+
+    Raises:
+        LabelgenError: the variant needs images of another region, or c_c from a model without it.
+    """
     region = metadata.region
     variant_3d, variant_2d = {
         Region.ROAD: (Variant.TRANSFORM3D, Variant.TRANSFORM2D),
@@ -52,14 +65,11 @@ def model_view(
         raise LabelgenError(
             f"variant {variant}: this detector was trained on {kind}; use {possible}", parameter="variant"
         )
-    if region is Region.NONE:
-        rectification = Rectification.of_region(region, camera, road, metadata.pair, metadata.size_wh)
-        return MeasurementView(variant, camera, rectification)
-    if variant.is_3d and not metadata.config.cc_weight:
+    if region is not Region.NONE and variant.is_3d and not metadata.config.cc_weight:
         raise LabelgenError(
             f"variant {variant}: this detector was trained without c_c; use {variant_2d}", parameter="variant"
         )
-    return MeasurementView.create(variant, camera, road, metadata.pair, metadata.size_wh)
+    return variant
 
 
 class DetectorDetections:

@@ -27,6 +27,7 @@ from detector.speed.meter import SpeedMeter
 from detector.speed.results import ResultFiles, ResultWriter
 from detector.speed.track_speed import MeasuredVehicle
 from detector.speed.view import MeasurementView
+from labelgen.interruption import signal_of
 from labelgen.media.frames import Frame
 from labelgen.media.prefetch import prefetch
 from labelgen.media.timed_frames import TimedFrames
@@ -53,7 +54,7 @@ class SpeedSummary:
         speeds_kmh: of all vehicles that have a speed.
         last_s: seconds; time of the last frame.
         seconds: how long the run took.
-        interrupted: whether the user interrupted it.
+        signal: number of the signal with which the user ended it; 0 where it ended by itself.
         problems: what was skipped, one line each.
     """
 
@@ -67,8 +68,13 @@ class SpeedSummary:
     speeds_kmh: list[float] = field(default_factory=list)
     last_s: float = 0.0
     seconds: float = 0.0
-    interrupted: bool = False
+    signal: int = 0
     problems: list[str] = field(default_factory=list)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user ended it."""
+        return self.signal != 0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures for JSON."""
@@ -168,8 +174,8 @@ def measure(
                 summary.last_s = detections.time_s
                 if progress is not None:
                     progress(1)
-        except KeyboardInterrupt:
-            summary.interrupted = True
+        except KeyboardInterrupt as err:
+            summary.signal = signal_of(err)
         finally:
             # The tracks up to here are complete, whatever ended the frames. If the disk is full, this raises again.
             _write(writer, meter.finish(), summary)

@@ -1,5 +1,7 @@
 """The files that `labelgen speed` writes. Each vehicle is written as soon as it has passed.
 
+While they grow they lie in a folder `DIR/NAME/.labelgen-speed-VARIANT`; they move up together when the run has ended.
+
 DIR/NAME/system_VARIANT.json      the public result format: calibration and tracks; `labelgen evaluate` reads it
 DIR/NAME/vehicles_VARIANT.csv     one row per vehicle
 DIR/NAME/detections_VARIANT.jsonl one line per frame (see `detector.speed.detection_file`)
@@ -21,9 +23,8 @@ from detector.speed.detection_file import detections_head
 from detector.speed.detections import Detections
 from detector.speed.track_speed import MeasuredVehicle
 from detector.speed.view import MeasurementView
-from labelgen.atomic_files import make_folder
-from labelgen.errors import OutputError
 from labelgen.labels import VehicleClass
+from labelgen.staged_output import StagedOutput
 
 __all__ = ["CSV_COLUMNS", "ResultFiles", "ResultWriter"]
 
@@ -51,7 +52,11 @@ class ResultFiles:
             name: of the scene.
             variant: its name.
         """
-        folder = out / name
+        return cls.within(out / name, variant)
+
+    @classmethod
+    def within(cls, folder: Path, variant: str) -> ResultFiles:
+        """Return the paths of a variant in a folder."""
         return cls(
             folder / f"system_{variant}.json",
             folder / f"vehicles_{variant}.csv",
@@ -59,19 +64,19 @@ class ResultFiles:
             folder / f"annotated_{variant}.avi",
         )
 
-    def prepare(self, *, overwrite: bool) -> None:
-        """Make the folder, and check that no file would be replaced against the user's will.
+    def staged(self, *, overwrite: bool, needs_overwrite: bool = False) -> StagedOutput:
+        """Return what keeps the files of a run until they are whole; see `within` for their paths in it.
 
         Args:
-            overwrite: whether files may be replaced.
-
-        Raises:
-            OutputError: a file exists and `overwrite` is False, or the folder cannot be made.
+            overwrite: whether files that are there may be replaced.
+            needs_overwrite: whether what a killed run left is replaced with `overwrite` only, as it cannot be made
+                again.
         """
-        for path in (self.tracks, self.vehicles, self.detections, self.video):
-            if path.exists() and not overwrite:
-                raise OutputError(f"{path}: it exists; choose another folder, or overwrite it", parameter="overwrite")
-        make_folder(self.tracks.parent)
+        paths = (self.tracks, self.vehicles, self.detections, self.video)
+        return StagedOutput(
+            self.tracks.parent, f"speed-{self.tracks.stem.removeprefix('system_')}", [path.name for path in paths],
+            overwrite=overwrite, keep=True, needs_overwrite=needs_overwrite,
+        )  # fmt: skip
 
 
 class ResultWriter:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,14 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
     Lightning's own writer copies over the old checkpoint where the folder of temporary files lies on another file
     system; a kill in between would destroy it.
+
+    Args:
+        replaced: files of an older run in the folder, which go when the first checkpoint of this one comes.
     """
+
+    def __init__(self, replaced: Sequence[Path] = ()) -> None:
+        super().__init__()
+        self._replaced = tuple(replaced)
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
         """Write a checkpoint.
@@ -42,6 +50,10 @@ class AtomicCheckpoints(TorchCheckpointIO):
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
         write_atomic(Path(path), buffer.getbuffer())
+        for old in self._replaced:
+            if old != Path(path):
+                old.unlink(missing_ok=True)
+        self._replaced = ()
 
 
 def trainer_options(machine: MachineConfig, preset: Preset) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -34,7 +35,7 @@ from detector.model.anchor_fit import fit_anchors
 from detector.model.retinanet import CcRetinaNet, build_model
 from detector.training.config import MachineConfig, Preset
 from detector.training.pretrained import load_pretrained
-from labelgen.atomic_files import make_folder, remove_temporary_files
+from labelgen.atomic_files import remove_temporary_files
 from labelgen.errors import DataError, LabelgenError, OutputError
 from labelgen.geometry import Region
 from labelgen.geometry.homography import Array
@@ -101,16 +102,27 @@ def train(
 
     Raises:
         DataError: shards of another pair or size, or weights that do not fit.
-        OutputError: the folder holds a run and neither `resume` nor `overwrite` is given, or cannot be written.
+        OutputError: the folder holds a run and neither `resume` nor `overwrite` is given, another training is at work
+            in it, or it cannot be written.
         LabelgenError: Lightning is not installed, the machine lacks what is asked for, the shards lack labels, a run is
             resumed with other settings, or the loss is not finite; the last checkpoint then stays.
     """
     out, machine = Path(out), machine or MachineConfig()
     try:
         from detector.training.machine import check_machine
+        from detector.training.run_folder import locked_run_folder
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
     check_machine(machine, preset)
+    with locked_run_folder(out):
+        return _train(shards, preset, out, validation, weights, resume, overwrite, seed, machine)
+
+
+def _train(
+    shards: Sequence[str | Path], preset: Preset, out: Path, validation: Sequence[str | Path],
+    weights: str | Path | None, resume: bool, overwrite: bool, seed: int, machine: MachineConfig,
+) -> TrainSummary:  # fmt: skip
+    """Train in a locked run folder; see `train`."""
     sources = open_sources(shards, preset.pair, preset.size_wh)
     metadata, steps = _plan(preset, sources, seed)
     validation_samples = None
@@ -123,7 +135,6 @@ def train(
         raise OutputError(
             f"{out}: it holds a training run; resume it, or overwrite it", parameter=("resume", "overwrite")
         )
-    make_folder(out)
     remove_temporary_files(out)
     torch.manual_seed(seed)
     model = build_model(metadata.config, weights="none" if weights or resume else preset.weights)
@@ -223,12 +234,14 @@ def _fit(
         from detector.training.callbacks import callbacks, loggers
         from detector.training.lightning_module import DetectorModule
         from detector.training.machine import AtomicCheckpoints, trainer_options
+        from detector.training.run_folder import leftovers_of
     except ModuleNotFoundError as err:
         raise LabelgenError(f"{err.name} is not installed; {_INSTALL_HINT}") from None
 
     module = DetectorModule(model, preset, metadata, preset.epochs * steps, validation)
+    checkpoints = AtomicCheckpoints(replaced=() if resume_from else leftovers_of(out))
     trainer = pl.Trainer(
-        **trainer_options(machine, preset), max_epochs=preset.epochs, plugins=[AtomicCheckpoints()],
+        **trainer_options(machine, preset), max_epochs=preset.epochs, plugins=[checkpoints],
         gradient_clip_val=preset.clip_norm, logger=loggers(out), use_distributed_sampler=False,
         callbacks=callbacks(out, preset, validation is not None, machine), num_sanity_val_steps=0,
         enable_progress_bar=machine.progress, enable_model_summary=False, log_every_n_steps=10,
@@ -256,6 +269,10 @@ def _run(trainer: Any, module: Any, training: Any, validation: Any, resume_from:
     Raises:
         DataError: the checkpoint to resume from is damaged.
     """
+    is_main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGTERM)
+    if is_main:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Lightning ends a run between two steps
     try:
         trainer.fit(module, training, validation, ckpt_path=resume_from, weights_only=True)
     except SystemExit:  # Lightning's way to end after a signal
@@ -266,4 +283,7 @@ def _run(trainer: Any, module: Any, training: Any, validation: Any, resume_from:
             raise
         reason = " ".join(str(err).split())[:160] or type(err).__name__
         raise DataError(f"{resume_from}: damaged ({reason}); start a new run from its weights") from None
+    finally:
+        if is_main:
+            signal.signal(signal.SIGTERM, before)
     return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,12 +17,12 @@ from labelgen.drawing import (
     fit_into,
     tile_pictures,
 )
-from labelgen.errors import OutputError
 from labelgen.geometry.homography import apply_homography, bounding_boxes
 from labelgen.labels import Flag, IgnoreReason, Sample, VehicleClass
+from labelgen.media.image_file import write_image
 from labelgen.shards import ShardDataset
 
-__all__ = ["frame_sheets", "label_sheets", "pick_labels", "save_picture"]
+__all__ = ["frame_sheets", "label_sheets", "pick_labels"]
 
 _TILE = 220
 _FLAG_LETTERS = {
@@ -33,21 +32,6 @@ _FLAG_LETTERS = {
     Flag.TOUCHING: "touching",
     Flag.OCCLUDED: "occluded",
 }
-
-
-def save_picture(path: Path, picture: NDArray[np.uint8]) -> Path:
-    """Write a picture (H, W, 3) BGR and return its path.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    try:
-        ok = cv2.imwrite(str(path), picture)
-    except cv2.error:
-        ok = False
-    if not ok:
-        raise OutputError(f"cannot write {path}: check the folder and the space left")
-    return path
 
 
 def pick_labels(data: ShardDataset[Sample], count: int, seed: int) -> list[tuple[int, int]]:
@@ -127,7 +111,7 @@ def frame_sheets(data: ShardDataset[Sample], out: Path, *, count: int = 12, per_
 
 def _write_sheets(tiles: Sequence[NDArray[np.uint8]], out: Path, name: str, per_sheet: int, columns: int) -> list[Path]:
     return [
-        save_picture(out / f"{name}-{i // per_sheet:02d}.png", tile_pictures(tiles[i : i + per_sheet], columns))
+        write_image(out / f"{name}-{i // per_sheet:02d}.png", tile_pictures(tiles[i : i + per_sheet], columns))
         for i in range(0, len(tiles), per_sheet)
     ]
 

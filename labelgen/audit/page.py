@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.atomic_files import make_folder, write_atomic
-from labelgen.audit.contact_sheets import frame_sheets, label_sheets, pick_labels, save_picture
+from labelgen.atomic_files import write_atomic
+from labelgen.audit.contact_sheets import frame_sheets, label_sheets, pick_labels
 from labelgen.audit.originals import Originals, open_original
 from labelgen.audit.statistics import draw_statistics
 from labelgen.audit.step_figures import mask_label_figure, rectification_figure
@@ -32,7 +32,9 @@ from labelgen.masks import (
 )
 from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import FrameSource
+from labelgen.media.image_file import write_image
 from labelgen.shards import ShardDataset, summarise
+from labelgen.staged_output import StagedOutput
 
 __all__ = ["Audit", "make_audit"]
 
@@ -56,7 +58,16 @@ class Audit:
     notes: list[str] = field(default_factory=list)
 
 
-def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int = 0) -> Audit:
+_PICTURES = (
+    "labels-[0-9]*.png",
+    "frames-[0-9]*.png",
+    "statistics.png",
+    "rectification.png",
+    "mask-to-label.png",
+)
+
+
+def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int = 0, overwrite: bool = False) -> Audit:
     """Make the audit of shards.
 
     Args:
@@ -64,11 +75,22 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
         out: folder for the page and its pictures.
         count: number of labels on the contact sheets.
         seed: of the random choice of labels.
+        overwrite: whether an audit that is there may be replaced.
 
     Raises:
         DataError: shards without a label, or of different pairs or sizes.
-        OutputError: the folder cannot be written.
+        OutputError: the folder holds an audit, or cannot be written.
     """
+    kind = f"out {out}: it already holds an audit"
+    with StagedOutput(out, "audit", ["index.html"], overwrite=overwrite, patterns=_PICTURES, kind=kind) as output:
+        audit = _make(shards, output.path, count, seed)
+        output.publish()
+    pictures = {chapter: [out / path.name for path in paths] for chapter, paths in audit.pictures.items()}
+    return Audit(out / audit.page.name, pictures, audit.notes)
+
+
+def _make(shards: Sequence[Path], out: Path, count: int, seed: int) -> Audit:
+    """Make the audit in an existing folder; see `make_audit`."""
     data = ShardDataset(shards)
     if not any(reader.label_count for reader in data.readers):
         raise DataError(f"{shards[0]}: no label in these shards, there is nothing to look at")
@@ -77,7 +99,6 @@ def make_audit(shards: Sequence[Path], out: Path, *, count: int = 50, seed: int 
         raise DataError(
             f"these shards are of different pairs or sizes ({', '.join(kinds)}); audit each kind on its own"
         )
-    make_folder(out)
     originals = Originals(data)
     audit = Audit(out / "index.html")
     picked = pick_labels(data, count, seed)
@@ -105,14 +126,14 @@ def _explain(
         except LabelgenError as err:
             audit.notes.append(f"no road mask in the figure of the rectification: {err}")
     figure = rectification_figure(original, sample.rectification, sample.camera, sample.window_xyxy, road)
-    audit.pictures["Steps of the rectification"] = [save_picture(out / "rectification.png", figure)]
+    audit.pictures["Steps of the rectification"] = [write_image(out / "rectification.png", figure)]
     if source.get("masks"):
         try:
             figure = _mask_figure(data, original, source)
         except LabelgenError as err:
             audit.notes.append(f"no figure from mask to label: {err}")
         else:
-            audit.pictures["Steps from mask to label"] = [save_picture(out / "mask-to-label.png", figure)]
+            audit.pictures["Steps from mask to label"] = [write_image(out / "mask-to-label.png", figure)]
 
 
 def _mask_figure(data: ShardDataset[Sample], original: NDArray[np.uint8], source: dict[str, Any]) -> NDArray[np.uint8]:

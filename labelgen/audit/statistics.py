@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from labelgen.atomic_files import write_atomic
 from labelgen.labels import Sample
 from labelgen.printable import printable
 from labelgen.shards import ShardDataset, summarise
@@ -50,5 +52,7 @@ def draw_statistics(data: ShardDataset[Sample], path: Path) -> Path:
         color="#8a8a8a",
     )
     axes[5].set(title="rejects by reason" if reasons else "no rejects", xlabel="inputs")
-    figure.savefig(path, dpi=110)
+    picture = BytesIO()
+    figure.savefig(picture, format="png", dpi=110)
+    write_atomic(path, picture.getvalue())
     return path

@@ -24,13 +24,9 @@ def audit(
 ) -> None:
     """Look at labels: contact sheets on rectified and original pictures, figures of the steps, statistics."""
     from labelgen.audit.page import make_audit
-    from labelgen.errors import OutputError
 
     check_report_path(json_file)
-    page = out / "index.html"
-    if page.exists() and not overwrite:
-        raise OutputError(f"--out {out}: it already holds an audit; add --overwrite or choose another folder")
-    made = make_audit(shards, out, count=count, seed=seed)
+    made = make_audit(shards, out, count=count, seed=seed, overwrite=overwrite)
     say("Audit")
     print_table([(chapter, f"{len(pictures)} pictures") for chapter, pictures in made.pictures.items()])
     for note in made.notes:

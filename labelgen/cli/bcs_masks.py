@@ -115,6 +115,7 @@ def bcs_masks(
     from labelgen.datasets.scene import find_scene
     from labelgen.errors import LabelgenError
     from labelgen.jobs.runner import run_job
+    from labelgen.jobs.staging import check_output
     from labelgen.jobs.video import MaskSettings, video_job
     from labelgen.labeling.from_masks import LabelLimits
     from labelgen.shards.image_codec import ImageCodec
@@ -144,8 +145,12 @@ def bcs_masks(
             raise LabelgenError("several inputs: name the folder for their common shards", parameter="out")
         out = Path("shards") / scenes[0].name
         notes_beside(out)
+    check_output(out, overwrite=overwrite)
     single = len(scenes) == 1
-    scenes = [complete_scene(scene, out if single else out / scene.name, need_scale=False) for scene in scenes]
+    scenes = [
+        complete_scene(scene, out if single else out / scene.name, need_scale=False, overwrite=overwrite)
+        for scene in scenes
+    ]
     with reported(json_file):
         job = video_job(
             scenes,

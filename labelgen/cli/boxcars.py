@@ -62,12 +62,14 @@ def boxcars(
     from labelgen.datasets.manifest import find_root, load_manifest
     from labelgen.jobs.boxcars import boxcars_job
     from labelgen.jobs.runner import run_job
+    from labelgen.jobs.staging import check_output
     from labelgen.shards.image_codec import ImageCodec
 
     check_report_path(json_file)
     manifest = load_manifest("boxcars116k")
     size_wh = rectified_size(size, pair, manifest)
     folder = find_root(manifest, root)
+    check_output(out, overwrite=overwrite)
     data = BoxCars(folder, manifest["layout"], split, default_split=manifest["splits"]["name"])
     names = _camera_names(cameras, manifest["exclusions"]["cameras"], [*data.cameras, *data.bad_cameras])
     job = boxcars_job(

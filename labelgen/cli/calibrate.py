@@ -65,10 +65,13 @@ def calibrate(
 
     A video that cannot carry a calibration is refused with the reason, exit code 2.
     """
-    from labelgen.atomic_files import make_folder, write_json
+    from contextlib import ExitStack
+
+    from labelgen.atomic_files import write_json
     from labelgen.calibration.complete_scene import calibrate_with_scale
     from labelgen.media.frame_notes import frame_notes
     from labelgen.media.open_frames import open_frames
+    from labelgen.staged_output import staged_file
 
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
     notes_beside(out)
@@ -79,14 +82,16 @@ def calibrate(
         picture_suffix("--picture", picture)
     principal_point = _point(pp)
     frames = open_frames(video, fps=fps, stream=stream, deinterlace=deinterlace)
-    with frame_notes(frames):
-        calibration = calibrate_with_scale(
-            frames, scale or ["auto-models"], need_scale=bool(scale), pp=principal_point, duration_s=duration
-        )
-    make_folder(out.absolute().parent)
-    write_json(out, calibration.to_dict())
-    if picture is not None:
-        _write_picture(calibration, picture)
+    with ExitStack() as stack:
+        staged = stack.enter_context(staged_file(out, overwrite=overwrite))
+        staged_picture = picture and stack.enter_context(staged_file(picture, overwrite=overwrite))
+        with frame_notes(frames):
+            calibration = calibrate_with_scale(
+                frames, scale or ["auto-models"], need_scale=bool(scale), pp=principal_point, duration_s=duration
+            )
+        write_json(staged, calibration.to_dict())
+        if staged_picture is not None:
+            _write_picture(calibration, staged_picture)
     rows = _rows(calibration)
     say(f"{calibration.camera.name} calibrated")
     print_table([*rows, ("in", out), *([("picture", picture)] if picture else [])])
@@ -135,11 +140,10 @@ def _rows(calibration: Calibration) -> list[tuple[str, Any]]:
 
 
 def _write_picture(calibration: Calibration, path: Path) -> None:
-    import cv2
     import numpy as np
 
-    from labelgen.atomic_files import make_folder, write_atomic
     from labelgen.calibration.plot import draw_calibration
+    from labelgen.media.image_file import write_image
 
     observations = calibration.observations
     image = np.zeros((observations.size_wh[1], observations.size_wh[0], 3), np.uint8)
@@ -148,5 +152,4 @@ def _write_picture(calibration: Calibration, path: Path) -> None:
     tracks = [observations.tracks[k] for k in calibration.orientation.supporting.tolist()]
     text = [f"{calibration.camera.name}: confidence {calibration.confidence()['overall']:.2f}", *calibration.doubts]
     drawn = draw_calibration(image, calibration.camera, tracks, text)
-    make_folder(path.absolute().parent)
-    write_atomic(path, cv2.imencode(path.suffix.lower(), drawn)[1].tobytes())
+    write_image(path, drawn)

@@ -20,6 +20,7 @@ from labelgen.cli.options import (
     OverwriteOption,
     RoadMaskOption,
     StreamOption,
+    check_report_path,
     print_table,
     warn_of,
     write_json_report,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from detector.inference import Detector
     from labelgen.datasets.scene import Scene
     from labelgen.media.frame_choice import FrameChoice
+    from labelgen.staged_output import StagedOutput
 
 __all__ = ["detect"]
 
@@ -66,19 +68,20 @@ def detect(
     check_torch_file(checkpoint, f"checkpoint {checkpoint}")
     check_device(device)
     from detector.inference import load_detector
-    from labelgen.atomic_files import make_folder
     from labelgen.datasets.scene import find_scene
-    from labelgen.errors import NoVehiclesError, OutputError
+    from labelgen.errors import NoVehiclesError
     from labelgen.media.frame_choice import FrameChoice
+    from labelgen.staged_output import StagedOutput
 
-    detector = load_detector(checkpoint, score=score, device=device)
+    check_report_path(json_file)
     target = out / "detections.jsonl"
-    if target.exists() and not overwrite:
-        raise OutputError(f"{target}: it exists already; use --overwrite or another --out")
     is_shards = source.suffix == ".h5" or (source.is_dir() and any(source.glob("shard-*.h5")))
     problems: list[str] = []
     with ExitStack() as stack:
         stack.callback(warn_of, problems)
+        output = StagedOutput(out, "detect", [target.name], overwrite=overwrite, patterns=["pictures/[0-9]*.jpg"])
+        stack.enter_context(output)
+        detector = load_detector(checkpoint, score=score, device=device)
         if is_shards:
             lines = _of_shards(detector, source, limit)
         else:
@@ -88,9 +91,8 @@ def detect(
             lines = _of_frames(detector, scene, FrameChoice(every, keyframes, limit), problems)
         stack.enter_context(closing(lines))  # type: ignore[type-var]
         first = next(lines)  # finds out what is wrong before anything is written
-        make_folder(out)
-        pictures = make_folder(out / "pictures") if render else None
-        counts = _write(first, lines, target, pictures)
+        counts = _write(first, lines, output, target.name, render=render)
+        output.publish()
     rows = [("pictures", counts[0]), ("detections", counts[1]), ("in", out)]
     say(f"Detections of {source.name} by {checkpoint.name}")
     print_table(rows)
@@ -109,18 +111,16 @@ _Line = tuple[str, int, Any]
 """A line of the file, its detections, and the picture with them (None for the head)."""
 
 
-def _write(first: _Line, lines: Iterator[_Line], target: Path, pictures: Path | None) -> tuple[int, int]:
-    import cv2
+def _write(first: _Line, lines: Iterator[_Line], output: StagedOutput, name: str, *, render: bool) -> tuple[int, int]:
+    from detector.speed.append_file import AppendFile
+    from labelgen.media.image_file import write_image
 
     count = total = 0
-    with ExitStack() as stack:
-        file = stack.enter_context(target.open("w", encoding="utf-8"))
-        advance = stack.enter_context(progress_bar(None, "img"))
-        file.write(first[0])
+    with AppendFile(output.stage(name), head=first[0]) as file, progress_bar(None, "img") as advance:
         for text, number, draw in lines:
-            file.write(text)
-            if pictures is not None:
-                cv2.imwrite(str(pictures / f"{count:06d}.jpg"), draw())
+            file.add(text)
+            if render:
+                write_image(output.stage(f"pictures/{count:06d}.jpg"), draw())
             count, total = count + 1, total + number
             advance(1)
     return count, total

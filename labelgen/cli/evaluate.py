@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from detector.evaluation.tables import TableFormat
+from labelgen.cli.options import check_report_path
 from labelgen.cli.printing import say
 from labelgen.errors import DataError
 
@@ -48,9 +50,12 @@ def evaluate(
     A folder of the Luvizon data set is known by its layout and scored by its own protocol; there --recordings takes
     test (the default), training, all, or names such as subset01/video01.
     """
-    from labelgen.atomic_files import make_folder, write_json
+    from detector.evaluation.report import PLOT_NAMES
+    from labelgen.atomic_files import write_json
     from labelgen.datasets.luvizon import is_luvizon
+    from labelgen.staged_output import StagedOutput
 
+    check_report_path(json_file)
     systems = _names([*system, *(more_systems or [])])
     report: LuvizonReport | SpeedReport
     if is_luvizon(dataset):
@@ -59,13 +64,15 @@ def evaluate(
         report = _luvizon(dataset, results, systems, "test" if recordings.lower() == "split-c" else recordings)
         say(report.table(table))
     else:
-        report = _brnocompspeed(dataset, results, systems, recordings, calibration, common_recall)
-        say(report.tables(table))
-        if table is TableFormat.TEXT:
-            say(f"\n{report.dropped_tracks()}")
-        if plots is not None:
-            report.write_plots(make_folder(plots))
-            say(f"plots: {plots}", err=True)
+        with nullcontext() if plots is None else StagedOutput(plots, "plots", PLOT_NAMES, overwrite=True) as output:
+            report = _brnocompspeed(dataset, results, systems, recordings, calibration, common_recall)
+            say(report.tables(table))
+            if table is TableFormat.TEXT:
+                say(f"\n{report.dropped_tracks()}")
+            if output is not None:
+                report.write_plots(output.path)
+                output.publish()
+                say(f"plots: {plots}", err=True)
     if json_file is not None:
         write_json(json_file, report.to_dict())
 

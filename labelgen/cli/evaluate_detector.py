@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.before_torch import check_device, check_torch_file
-from labelgen.cli.options import JsonOption, print_table, write_json_report
+from labelgen.cli.options import JsonOption, check_report_path, print_table, write_json_report
 from labelgen.cli.printing import say
 from labelgen.progress import progress_bar
 
@@ -41,6 +41,7 @@ def evaluate_detector(
     from detector.inference import load_detector
     from detector.metrics import evaluate_detections
 
+    check_report_path(json_file)
     detector = load_detector(checkpoint, device=device)
     metadata = detector.metadata
     samples = open_shards(shards, metadata.pair, metadata.size_wh)

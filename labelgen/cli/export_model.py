@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from labelgen.before_torch import check_torch_file
-from labelgen.cli.options import JsonOption, OverwriteOption, print_table, write_json_report
+from labelgen.cli.options import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
 from labelgen.cli.printing import say
 
 if TYPE_CHECKING:
@@ -37,13 +37,14 @@ def export_model(
     """Write a detector for other runtimes: one rectified RGB picture in, boxes, scores and c_c out, NMS included."""
     check_torch_file(checkpoint, f"checkpoint {checkpoint}")
     from detector.export_onnx import check_onnx, export_onnx
-    from labelgen.errors import LabelgenError, OutputError
+    from labelgen.errors import LabelgenError
+    from labelgen.staged_output import staged_file
 
     if format_ != "onnx":
         raise LabelgenError(f"--format {format_}: unknown; use onnx")
-    if out.exists() and not overwrite:
-        raise OutputError(f"{out}: it exists already; use --overwrite or another --out")
-    metadata = export_onnx(checkpoint, out, score=score)
+    check_report_path(json_file, out)
+    with staged_file(out, overwrite=overwrite) as staged:
+        metadata = export_onnx(checkpoint, staged, score=score)
     rows: list[tuple[str, Any]] = [
         ("in", out), ("size", "{}x{}".format(*metadata.size_wh)), ("bytes", out.stat().st_size)
     ]  # fmt: skip

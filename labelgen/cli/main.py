@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import re
 import shlex
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -20,8 +21,9 @@ from typer.core import TyperCommand, TyperGroup
 from labelgen.cli.foreign_messages import counted_foreign_messages
 from labelgen.cli.notes import LOGGERS, finish_notes, name_options, notes_beside, notes_on_screen
 from labelgen.cli.options import APP_SETTINGS
-from labelgen.cli.printing import say
+from labelgen.cli.printing import EndedBySignalError, say
 from labelgen.errors import LabelgenError, NoWeightsError
+from labelgen.interruption import signal_of, terminate_as_interrupt
 from labelgen.printable import printable
 from labelgen.version import __version__
 
@@ -76,6 +78,11 @@ _WORD_OPTIONS = {
 _ARGUMENTS = "labelgen.arguments"
 
 
+# Commands that find what an interrupted run of theirs has made.
+_RESUMED_BY_THEMSELVES = ("boxcars", "bcs-masks")
+_GOES_ON = "the same command goes on where it stopped"
+
+
 class _Command(TyperCommand):
     """A command that says in which option a wrong parameter was given."""
 
@@ -89,6 +96,9 @@ class _Command(TyperCommand):
             notes_beside(ctx.params["out"])
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt as err:
+            goes_on = _GOES_ON if self.name in _RESUMED_BY_THEMSELVES else ""
+            raise EndedBySignalError(signal_of(err), goes_on) from None
         except LabelgenError as err:
             options = {parameter.name: parameter.opts[0] for parameter in self.params}
             parameters = [*err.parameters, *(_OTHER_WAY[name] for name in err.parameters if name in _OTHER_WAY)]
@@ -148,6 +158,12 @@ class _Commands(TyperGroup):
         application.command(cmd_name, short_help=entry.help, cls=_Command)(function)
         return typer.main.get_command(application)
 
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as err:
+            raise EndedBySignalError(signal_of(err)) from None
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, entry.help) for name, entry in _COMMANDS.items()])
@@ -181,7 +197,7 @@ def root(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted, 143 terminated."""
-    with notes_on_screen():
+    with notes_on_screen(), terminate_as_interrupt():
         sys.exit(_run(list(sys.argv[1:] if arguments is None else arguments)))
 
 
@@ -191,15 +207,17 @@ def _run(arguments: list[str]) -> int:
             code = app(args=arguments, prog_name="labelgen", standalone_mode=False)
     except LabelgenError as err:
         _fail(" ".join(str(err).split()))
-    except KeyboardInterrupt:
-        _interrupted()
+    except EndedBySignalError as err:
+        return _interrupted(err)
+    except KeyboardInterrupt as err:
+        return _interrupted(EndedBySignalError(signal_of(err)))
     except OSError as err:
         # Names too long, loops of links, folders that vanish: whatever no command looked for.
         where = f" {err.filename}" if err.filename else ""
         _fail(f"cannot use{where}: {err.strerror or err}")
     except Exception as err:
         if type(err).__name__ == "Abort":  # what Typer makes of an interruption
-            _interrupted()
+            return _interrupted(EndedBySignalError(signal_of(err.__cause__)))
         # Typer's own errors, such as an unknown option; anything else is a bug and keeps its traceback.
         message = getattr(err, "format_message", None)
         if message is None:
@@ -214,10 +232,11 @@ def _run(arguments: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _interrupted() -> NoReturn:
+def _interrupted(err: EndedBySignalError) -> int:
     finish_notes()
-    say("labelgen: interrupted; the same command goes on where it stopped", err=True)
-    sys.exit(130)
+    word = "terminated" if err.signal == signal.SIGTERM else "interrupted"
+    say(f"labelgen: {word}" + (f"; {err}" if str(err) else ""), err=True)
+    return 128 + err.signal
 
 
 def _fail(message: str) -> NoReturn:

@@ -6,7 +6,20 @@ import typer
 
 from labelgen.printable import hide_passwords, printable
 
-__all__ = ["say"]
+__all__ = ["EndedBySignalError", "say"]
+
+
+class EndedBySignalError(Exception):
+    """Ctrl-C or SIGTERM ended a command.
+
+    Args:
+        number: of the signal; the exit code is 128 more.
+        text: what there is to say of what was made so far.
+    """
+
+    def __init__(self, number: int, text: str = "") -> None:
+        super().__init__(text)
+        self.signal = number
 
 
 def say(text: str, *, err: bool = False, nl: bool = True) -> None:

@@ -57,17 +57,16 @@ def rectify(
     json_file: JsonOption = None,
 ) -> None:
     """Rectify one picture of a scene, and give its matrix, VPU and coverage."""
-    import cv2
-
-    from labelgen.atomic_files import make_folder, write_atomic
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene
     from labelgen.datasets.scene_picture import read_picture
     from labelgen.geometry.rectification import Rectification
+    from labelgen.media.image_file import write_image
+    from labelgen.staged_output import staged_file
 
     check_report_path(json_file, out)
     size_wh = rectified_size(size, pair, load_manifest("brnocompspeed"))
-    suffix = picture_suffix("--out", out)
+    picture_suffix("--out", out)
     check_new_file("--out", out, overwrite)
     scene = find_scene(
         source,
@@ -86,9 +85,8 @@ def rectify(
     rectification = Rectification.from_road_mask(
         camera, scene.road(frame_wh), pair, size_wh, cover="mask" if cover is Cover.MASK else "frame"
     )
-    make_folder(out.parent)
-    encoded = cv2.imencode(suffix, rectification.warp_image(image))[1]
-    write_atomic(out, encoded.tobytes())
+    with staged_file(out, overwrite=overwrite) as staged:
+        write_image(staged, rectification.warp_image(image))
     report = {
         "pair": str(pair),
         "size": list(size_wh),

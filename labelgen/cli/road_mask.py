@@ -52,22 +52,24 @@ def road_mask(
     from labelgen.geometry import Camera
     from labelgen.media.frame_notes import frame_notes
     from labelgen.media.open_frames import open_frames
+    from labelgen.staged_output import staged_file
 
     check_report_path(json_file, out)
     if out.suffix.lower() != ".png":
         raise OutputError(f"--out {out}: name a .png file")
     check_new_file("--out", out, overwrite)
     frames = open_frames(video, fps=fps, stream=stream, deinterlace=deinterlace)
-    with frame_notes(frames):
-        if calibration is None:
-            estimated = calibrate_video(frames, duration_s=duration)
-            camera, observations, doubts = estimated.camera, estimated.observations, list(estimated.doubts)
-        else:
-            camera = Camera.load(calibration, image_wh=frames.size_wh)
-            doubts = list(size_notes(calibration, None, frames.size_wh))
-            observations = observe(frames, duration_s=duration)
-    road = estimate_road_mask(camera, observations.tracks)
-    write_mask(out, road.pixels)
+    with staged_file(out, overwrite=overwrite) as staged:
+        with frame_notes(frames):
+            if calibration is None:
+                estimated = calibrate_video(frames, duration_s=duration)
+                camera, observations, doubts = estimated.camera, estimated.observations, list(estimated.doubts)
+            else:
+                camera = Camera.load(calibration, image_wh=frames.size_wh)
+                doubts = list(size_notes(calibration, None, frames.size_wh))
+                observations = observe(frames, duration_s=duration)
+        road = estimate_road_mask(camera, observations.tracks)
+        write_mask(staged, road.pixels)
     rows: list[tuple[str, Any]] = [
         ("of the picture", f"{road.pixels.mean():.0%}"),
         ("tracks along the road", f"{road.tracks}, {road.along:.0%} of all"),

@@ -110,7 +110,7 @@ def merge(
 ) -> None:
     """Put shards of several data sets into one folder with a common index. Their samples stay as they are."""
     from labelgen.errors import OutputError
-    from labelgen.jobs.staging import Staging
+    from labelgen.jobs.staging import Staging, check_output
     from labelgen.shards import ShardReader, find_shards, merge_shards, summarise
     from labelgen.shards.merge import merge_job
 
@@ -118,6 +118,7 @@ def merge(
     if any(path.resolve().parent == out.resolve() for path in sources):
         raise OutputError(f"--out {out}: it is one of the folders to merge; choose another")
     check_report_path(json_file)
+    check_output(out, overwrite=overwrite)
     with Staging(out, merge_job(sources), overwrite=overwrite) as staging:
         if staging.published:  # an earlier run of the same command was interrupted while publishing
             summary = summarise([ShardReader(path) for path in find_shards([out])])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -35,7 +36,7 @@ from labelgen.cli.options import (
     warn_of,
     write_json_report,
 )
-from labelgen.cli.printing import say
+from labelgen.cli.printing import EndedBySignalError, say
 from labelgen.errors import LabelgenError, NoVehiclesError
 from labelgen.progress import progress_bar
 
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from detector.speed.results import ResultFiles
     from labelgen.datasets.scene import Scene
     from labelgen.masks.mask_options import MaskOptions
+    from labelgen.staged_output import StagedOutput
 
 __all__ = ["speed"]
 
@@ -122,53 +124,85 @@ def speed(
     Where there is no calibration or road mask they are made from the video itself and kept with the results.
 
     Writes tracks in the public result format (`labelgen evaluate --results DIR` reads them), a CSV with one row per
-    vehicle, and the detections, each as it comes: whatever happens, the vehicles that have passed are on disk.
+    vehicle, and the detections, each as it comes: whatever happens, the vehicles that have passed are on disk. They
+    grow in DIR/NAME/.labelgen-speed-VARIANT and move up when the video ends.
     """
-    from detector.speed.meter import SpeedMeter
-    from detector.speed.pipeline import measure
+    from contextlib import ExitStack
+
     from detector.speed.results import ResultFiles
 
     check_report_path(json_file)
     if from_ is None:
         from_ = "masks:maskrcnn" if variant is Variant.SOCHOR else "masks:background"
     inputs = _Inputs(
-        source, out, calibration, road_mask, fps, stream, deinterlace, duration, stall, variant is Variant.DUBSKA
+        source,
+        out,
+        calibration,
+        road_mask,
+        fps,
+        stream,
+        deinterlace,
+        duration,
+        stall,
+        variant is Variant.DUBSKA,
+        overwrite,
     )
     kind, _, argument = from_.partition(":")
-    with reported(json_file):
-        if kind == "masks" and argument:
-            job = _mask_job(
-                inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
-                weights, device, mask_options(first_frame, scale_masks, classes, tiles),
-            )  # fmt: skip
-        elif kind == "model" and argument:
-            job = _model_job(inputs, Path(argument), variant, pair, size, score, device)
-        elif kind == "detections" and argument:
-            job = _file_job(inputs, Path(argument), variant, pair, size, render)
-        else:
-            raise LabelgenError(
-                f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, masks:onnx:FILE, "
-                "model:FILE or detections:FILE",
-                parameter="from_",
-            )
-    files = ResultFiles.of(out, job.name, str(job.view.variant))
-    files.prepare(overwrite=overwrite)
+    with ExitStack() as stack:
+        with reported(json_file):
+            if kind == "masks" and argument:
+                plan = _plan_masks(
+                    inputs, argument, variant or Variant.TRANSFORM3D, pair or Pair.VP2_VP3, size, rule, near_end, score,
+                    weights, device, mask_options(first_frame, scale_masks, classes, tiles),
+                )  # fmt: skip
+            elif kind == "model" and argument:
+                plan = _plan_model(inputs, Path(argument), variant, pair, size, score, device)
+            elif kind == "detections" and argument:
+                plan = _plan_file(inputs, Path(argument), variant, pair, size, render)
+            else:
+                raise LabelgenError(
+                    f"from_ {from_}: unknown; use masks:background, masks:maskrcnn, masks:coco:FILE, masks:onnx:FILE, "
+                    "model:FILE or detections:FILE",
+                    parameter="from_",
+                )
+            files = ResultFiles.of(out, inputs.name, str(plan.variant))
+            output = stack.enter_context(files.staged(overwrite=overwrite, needs_overwrite=inputs.is_stream))
+            job = plan.open_job()
+        _measure(job, output, files, render, keep_detections=kind != "detections", json_file=json_file)
+
+
+def _measure(
+    job: SpeedJob, output: StagedOutput, files: ResultFiles, render: bool, *, keep_detections: bool,
+    json_file: Path | None,
+) -> None:  # fmt: skip
+    """Measure, move the results up if they are whole, and tell what they are."""
+    from detector.speed.meter import SpeedMeter
+    from detector.speed.pipeline import measure
+    from labelgen.errors import OutputError
+
+    staged = files.within(output.path, str(job.view.variant))
     meter = SpeedMeter(job.view.camera, fps=job.fps, lane_lines=job.lane_lines)
+    is_live = job.frames is not None and job.frames.is_live
     with progress_bar(job.frame_count, "frame", job.name) as advance:
         try:
             summary = measure(
-                job.detections(), job.view, meter, files, fps=job.fps, render=render, progress=advance,
-                keep_detections=kind != "detections",
+                job.detections(), job.view, meter, staged, fps=job.fps, render=render, progress=advance,
+                keep_detections=keep_detections,
             )  # fmt: skip
-        except Exception:
+        except Exception as err:
+            if is_live and not isinstance(err, OutputError):
+                output.publish()
             for problem in job.problems():
                 _log.warning("%s", problem)
-            _say_what_is_there(files)
+            _say_what_is_there(files if output.published else staged)
             raise
+    # A stream ends whenever it ends; what is measured of it cannot be measured again.
+    if is_live or not summary.interrupted:
+        output.publish()
     if job.source is not None:
         summary.rejects.update(job.source.rejects)
     summary.problems += [*meter.problems(), *job.problems()]
-    _close(job, files, summary, render, json_file)
+    _close(job, files if output.published else staged, summary, render, json_file)
 
 
 class _Inputs(NamedTuple):
@@ -184,38 +218,55 @@ class _Inputs(NamedTuple):
     duration_s: float | None
     stall_s: float
     scale_from_dimensions: bool
+    overwrite: bool
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether the frames come from a live camera."""
+        from labelgen.media.stream import is_stream_url
+
+        return is_stream_url(self.source)
+
+    @property
+    def name(self) -> str:
+        """Name of the results."""
+        from labelgen.datasets.scene import input_name
+        from labelgen.media.stream import stream_name
+
+        return stream_name(self.source) if self.is_stream else input_name(Path(self.source))
 
     def open(self) -> Scene:
         """Open the scene; where a calibration or road mask is missing, make it from the video."""
         from labelgen.calibration.complete_scene import complete_scene
         from labelgen.datasets.scene import find_scene, open_stream
-        from labelgen.media.stream import is_stream_url
 
-        if is_stream_url(self.source):
+        if self.is_stream:
             return open_stream(
                 self.source, calibration=self.calibration, road_mask=self.road_mask, duration_s=self.duration_s,
                 stall_s=self.stall_s, fps=self.fps, stream=self.stream, deinterlace=self.deinterlace,
             )  # fmt: skip
-        path = Path(self.source)
-        name = _input_name(path)
         files = find_scene(
-            path, calibration=self.calibration, road_mask=self.road_mask, may_lack=True, fps=self.fps,
+            Path(self.source), calibration=self.calibration, road_mask=self.road_mask, may_lack=True, fps=self.fps,
             stream=self.stream, deinterlace=self.deinterlace,
         )  # fmt: skip
         files.check_times()
         # Each system with the scale it was published with; models are what serves everything else best.
         scale = "auto-dimensions" if self.scale_from_dimensions else "auto-models"
-        return replace(complete_scene(files, self.out / name, scale=scale).open(), name=name)
+        scene = complete_scene(files, self.out / self.name, scale=scale, overwrite=self.overwrite)
+        return replace(scene.open(), name=self.name)
 
 
-def _input_name(path: Path) -> str:
-    return path.resolve().name if path.is_dir() else path.stem
+class _Plan(NamedTuple):
+    """What is known before anything is opened: the variant, and how the job is opened."""
+
+    variant: Variant
+    open_job: Callable[[], SpeedJob]
 
 
-def _mask_job(
+def _plan_masks(
     inputs: _Inputs, masks: str, variant: Variant, pair: Pair, size: str | None, rule: Rule, near_end: ContactPoint,
     score: float, weights: Path | None, device: str | None, options: MaskOptions,
-) -> SpeedJob:  # fmt: skip
+) -> _Plan:  # fmt: skip
     from detector.speed.job import MaskSpeedSettings, job_from_masks
     from labelgen.datasets.manifest import load_manifest
 
@@ -223,17 +274,18 @@ def _mask_job(
         masks, variant, pair, rectified_size(size, pair, load_manifest("brnocompspeed")), rule,
         near_end is ContactPoint.VEHICLE, score, weights, device, options,
     )  # fmt: skip
-    return job_from_masks(inputs.open(), settings, duration_s=inputs.duration_s)
+    return _Plan(variant, lambda: job_from_masks(inputs.open(), settings, duration_s=inputs.duration_s))
 
 
-def _model_job(
+def _plan_model(
     inputs: _Inputs, checkpoint: Path, variant: Variant | None, pair: Pair | None, size: str | None, score: float,
     device: str | None,
-) -> SpeedJob:  # fmt: skip
+) -> _Plan:  # fmt: skip
     check_torch_file(checkpoint, f"checkpoint {checkpoint}", parameter="from_")
     check_device(device)
     from detector.inference import load_detector
     from detector.speed.job import job_from_model
+    from detector.speed.model_detections import model_variant
     from labelgen.choices import parse_size
 
     detector = load_detector(checkpoint, score=score, device=device)
@@ -243,12 +295,13 @@ def _model_job(
             f"{checkpoint}: this detector sees {own.pair} pictures of {own.size_wh[0]}x{own.size_wh[1]}; leave out "
             "--pair and --size, or use a checkpoint trained for them"
         )
-    return job_from_model(inputs.open(), detector, variant, duration_s=inputs.duration_s)
+    chosen = model_variant(own, variant)
+    return _Plan(chosen, lambda: job_from_model(inputs.open(), detector, chosen, duration_s=inputs.duration_s))
 
 
-def _file_job(
+def _plan_file(
     inputs: _Inputs, path: Path, variant: Variant | None, pair: Pair | None, size: str | None, render: bool
-) -> SpeedJob:
+) -> _Plan:
     from detector.speed.detection_file import DetectionFile
     from detector.speed.job import job_from_file
     from labelgen.datasets.scene import find_scene
@@ -257,9 +310,8 @@ def _file_job(
     for option, value in (("--variant", variant), ("--pair", pair), ("--size", size)):
         if value:
             raise LabelgenError(f"--from detections:{path}: the file itself says how it was made; leave out {option}")
-    source = Path(inputs.source)
     scene = find_scene(
-        source,
+        Path(inputs.source),
         calibration=inputs.calibration,
         road_mask=inputs.road_mask,
         need_frames=render,
@@ -267,8 +319,12 @@ def _file_job(
         stream=inputs.stream,
         deinterlace=inputs.deinterlace,
     )
-    job = job_from_file(file, scene, with_pictures=render, fps=inputs.fps, duration_s=inputs.duration_s)
-    return replace(job, name=_input_name(source))
+
+    def open_job() -> SpeedJob:
+        job = job_from_file(file, scene, with_pictures=render, fps=inputs.fps, duration_s=inputs.duration_s)
+        return replace(job, name=inputs.name)
+
+    return _Plan(file.variant, open_job)
 
 
 def _say_what_is_there(files: ResultFiles) -> None:
@@ -315,7 +371,9 @@ def _close(job: SpeedJob, files: ResultFiles, summary: SpeedSummary, render: boo
         _say_what_is_there(files)
         raise failure
     if summary.interrupted:
-        raise KeyboardInterrupt
+        raise EndedBySignalError(
+            summary.signal, f"{summary.vehicles} vehicles up to there are in {files.tracks.parent}"
+        )
     if none_found is not None:
         raise none_found
 

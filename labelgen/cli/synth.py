@@ -17,7 +17,7 @@ from labelgen.cli.options import (
     print_table,
     write_json_report,
 )
-from labelgen.cli.printing import say
+from labelgen.cli.printing import EndedBySignalError, say
 from labelgen.synth.shading.lighting import Weather
 
 __all__ = ["synth_app"]
@@ -44,6 +44,7 @@ def boxcars(
     """Write a BoxCars116k tree: crops of vehicles with 3D boxes, seen by several cameras."""
     from labelgen.synth.truth.boxcars116k import write_boxcars_tree
 
+    check_report_path(json_file)
     summary = write_boxcars_tree(out, vehicles, seed, overwrite=overwrite)
     say("synthetic crops in the BoxCars116k layout")
     print_table(list(summary.items()))
@@ -124,6 +125,7 @@ def session(
     """Write a BrnoCompSpeed session: video, road mask, calibration, speeds; and masks, 3D boxes and tracks.
 
     Ctrl-C ends the recording early: what is written is a shorter session, complete in itself; the exit code is 130.
+    Killed in another way it writes nothing.
     """
     from dataclasses import asdict
 
@@ -153,7 +155,7 @@ def session(
         video=video,
         overwrite=overwrite,
     )
-    report = asdict(summary)
+    report = {**asdict(summary), "complete": summary.complete}
     say(f"synthetic session {summary.name}" + ("" if summary.complete else ", ended early"))
     print_table([*((k, report[k]) for k in ("frames", "vehicles", "masks")), *summary.files.items()])
     if summary.measured:
@@ -161,7 +163,7 @@ def session(
         print_table(list(summary.measured.items()))
     write_json_report(json_file, report)
     if not summary.complete:
-        raise typer.Exit(130)
+        raise EndedBySignalError(summary.signal, f"the session has {summary.frames} frames and is whole in itself")
 
 
 def _sun(text: str | None) -> tuple[float, float] | None:

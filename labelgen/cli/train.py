@@ -12,7 +12,7 @@ import typer
 
 from labelgen.before_torch import check_device, check_torch_file
 from labelgen.cli.options import JsonOption, OverwriteOption, check_report_path, print_table, write_json_report
-from labelgen.cli.printing import say
+from labelgen.cli.printing import EndedBySignalError, say
 
 __all__ = ["train"]
 
@@ -85,6 +85,7 @@ def train(
     from detector.training.config import MachineConfig, find_preset
     from detector.training.train import train as run
 
+    check_report_path(json_file)
     named = weights in ("imagenet", "none")
     settings = find_preset(
         preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,
@@ -118,7 +119,7 @@ def train(
         },
     )  # fmt: skip
     if summary.signal is not None:
-        raise typer.Exit(128 + summary.signal)
+        raise EndedBySignalError(summary.signal, goes_on.removeprefix("; ").strip())
 
 
 def _check_shards(shards: list[str]) -> None:

@@ -31,11 +31,13 @@ from labelgen.media.frames import FrameSource
 from labelgen.media.image_file import read_image
 from labelgen.media.open_frames import open_frames
 from labelgen.media.stream import VideoStream
+from labelgen.output_names import folder_name
 
 __all__ = [
     "Scene",
     "SceneFiles",
     "find_scene",
+    "input_name",
     "is_session",
     "open_stream",
     "read_lane_lines",
@@ -203,6 +205,11 @@ def open_stream(
     return Scene(None, frames.name, frames, Camera.load(calibration, image_wh=size), road, fps, notes=notes)
 
 
+def input_name(path: Path) -> str:
+    """Return the name of an input for its results: that of a folder, or of a file without its extension."""
+    return folder_name(path.resolve().name if path.is_dir() else path.stem)
+
+
 def is_session(folder: Path) -> bool:
     """Return whether a folder is a session's of the BrnoCompSpeed layout."""
     layout = load_manifest("brnocompspeed")["layout"]
@@ -259,7 +266,7 @@ def _find(
     places = _beside(path, ".calibration.json")
     calibration = _choose("calibration", calibration, places, missing)
     road_mask = _choose("road mask", road_mask, _beside(path, ".mask.png"), missing)
-    name = path.resolve().name if path.is_dir() else path.stem
+    name = input_name(path)
     picture = path if path.is_file() else None
     truth = _ground_truth(folder, layout)
     return SceneFiles(name, path, calibration, road_mask, picture, ground_truth_path=truth), missing

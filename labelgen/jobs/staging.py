@@ -14,28 +14,38 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from labelgen.atomic_files import TEMPORARY_PREFIX, as_output_error, make_folder, remove_temporary_files, write_json
+from labelgen.atomic_files import TEMPORARY_PREFIX, as_output_error, remove_temporary_files, sync_folder, write_json
 from labelgen.errors import DataError, OutputError
+from labelgen.interruption import uninterrupted
 from labelgen.json_file import parse_json
+from labelgen.output_lock import take_lock
 from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, file_hash, read_index
 from labelgen.shards.validate import content_is_intact
 
-try:
-    import fcntl
-except ImportError:  # not on Windows, where two jobs are not kept apart
-    fcntl = None  # type: ignore[assignment]
-
-__all__ = ["STAGING_NAME", "Staging"]
+__all__ = ["STAGING_NAME", "Staging", "check_output"]
 
 STAGING_NAME = ".labelgen-job"
 _JOB_NAME, _LOCK_NAME = "job.json", "lock"
 _SHARDS, _TEMPORARY = "shard-*.h5", f"{TEMPORARY_PREFIX}*.tmp"
 _MAX_NAMED = 3
+
+
+def check_output(out: Path, *, overwrite: bool) -> None:
+    """Find out whether a job may write a data set into a folder, before long work that precedes the job.
+
+    Args:
+        out: final folder of the data set.
+        overwrite: whether a finished data set may be replaced.
+
+    Raises:
+        OutputError: the folder is in use, holds a finished data set, or cannot be written.
+    """
+    Staging(out, {}, overwrite=overwrite).check()
 
 
 class Staging:
@@ -65,6 +75,16 @@ class Staging:
         self._lock: IO[str] | None = None
 
     def __enter__(self) -> Staging:
+        self._begin(self._prepare)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._release()
+
+    def _begin(self, prepare: Callable[[], None]) -> list[Path]:
+        """Take the lock and prepare; returns the folders that were made for it."""
         with as_output_error(self.out):
             if self.out.exists() and not self.out.is_dir():
                 raise OutputError(
@@ -76,20 +96,21 @@ class Staging:
                     parameter="out",
                 )
             fresh = [folder for folder in (self.path, self.out) if not folder.exists()]
-        make_folder(self.path)
-        self._take_lock()
+        self._lock = take_lock(self.path / _LOCK_NAME, self.out)
         try:
-            self._prepare()
+            prepare()
         except BaseException:
-            self._release()
             if fresh:  # leave no empty folder of a job that did not begin
                 self.discard(only_if_fresh=self.out in fresh)
+            self._release()
             raise
-        return self
+        return fresh
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def check(self) -> None:
+        """See `check_output`."""
+        fresh = self._begin(self._refuse_finished)
+        if fresh:
+            self.discard(only_if_fresh=self.out in fresh)
         self._release()
 
     def publish(self) -> None:
@@ -108,22 +129,6 @@ class Staging:
             with contextlib.suppress(OSError):
                 self.out.rmdir()
 
-    def _take_lock(self) -> None:
-        path = self.path / _LOCK_NAME
-        if path.is_symlink() or (path.exists() and not path.is_file()):
-            raise OutputError(f"{path}: not a file that labelgen wrote; remove it", parameter="out")
-        with as_output_error(self.path):
-            self._lock = path.open("a")
-        if fcntl is not None:
-            try:
-                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                self._lock.close()
-                raise OutputError(
-                    f"out {self.out}: another labelgen job is writing into it; wait for it or choose another folder",
-                    parameter="out",
-                ) from None
-
     def _release(self) -> None:
         if self._lock is not None:
             self._lock.close()
@@ -134,10 +139,11 @@ class Staging:
         index = self._read_staged_index(job)
         if index is not None and (self._overwrite or not (self.out / INDEX_NAME).exists()):
             _publish(self.path, self.out, index)  # the job was killed during publication
-            make_folder(self.path)
+            self._release()  # the lock went with the folder
             if job == self._description:
                 self.published = True
                 return
+            self._lock = take_lock(self.path / _LOCK_NAME, self.out)
             job = None
         if not self._overwrite:
             self._refuse_to_replace(job)
@@ -204,12 +210,15 @@ class Staging:
                     return path
         return None
 
-    def _refuse_to_replace(self, job: Any) -> None:
-        if (self.out / INDEX_NAME).exists():
+    def _refuse_finished(self) -> None:
+        if (self.out / INDEX_NAME).exists() and not self._overwrite:
             raise OutputError(
                 f"{self.out}: it already holds a finished data set; overwrite it or choose another folder",
                 parameter="overwrite",
             )
+
+    def _refuse_to_replace(self, job: Any) -> None:
+        self._refuse_finished()
         if any(self.out.glob("shard-*.h5")):
             raise OutputError(
                 f"{self.out}: it holds shards without an index; overwrite them or choose another folder",
@@ -265,7 +274,7 @@ def _remove_own(staged: Path) -> None:
 def _publish(staged: Path, out: Path, index: Mapping[str, Any]) -> None:
     """Replace the data set of a folder by the staged one; continues a replacement that was interrupted."""
     names = [str(entry["name"]) for entry in index["shards"]]
-    with as_output_error(out):
+    with uninterrupted(), as_output_error(out):
         (out / INDEX_NAME).unlink(missing_ok=True)
         for old in out.glob(_SHARDS):
             if old.name not in names or (staged / old.name).exists():
@@ -273,4 +282,5 @@ def _publish(staged: Path, out: Path, index: Mapping[str, Any]) -> None:
         for name in (*names, REJECTS_NAME, INDEX_NAME):
             if (staged / name).exists():
                 os.replace(staged / name, out / name)
+        sync_folder(out)
     _remove_own(staged)

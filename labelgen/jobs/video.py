@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import math
@@ -17,6 +16,7 @@ import numpy as np
 
 from labelgen.before_torch import check_device, check_torch_file
 from labelgen.choices import Pair, Region, Rule
+from labelgen.datasets.fingerprint import fingerprint
 from labelgen.datasets.scene import Scene, SceneFiles
 from labelgen.errors import CalibrationError, LabelgenError, NoVehiclesError
 from labelgen.geometry.camera import Camera
@@ -40,7 +40,6 @@ from labelgen.masks import (
 )
 from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import Frame
-from labelgen.media.image_folder import ImageFolder
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
 from labelgen.shards.index import file_hash
@@ -175,7 +174,7 @@ def video_job(
             reasons += [problem] if problem else []
         units.append(unit)
         used = (scene.frames.path, files.calibration_path, files.mask_path)
-        inputs[f"{number}: {files.name}"] = [_fingerprint(path) for path in used]
+        inputs[f"{number}: {files.name}"] = [fingerprint(path) for path in used]
     if reasons and len(reasons) == len(units):
         raise reasons[0]
     originals = {unit.files.name: unit.whereabouts() for unit in units}
@@ -262,20 +261,6 @@ def _taken(frame_count: int | None, every: int, limit: int | None) -> int | None
         return limit
     taken = -(-frame_count // every)
     return taken if limit is None else min(taken, limit)
-
-
-def _fingerprint(path: Path) -> str:
-    """Return the identity of an input: name, size, and the hash of its first and last MiB, as videos are large."""
-    if path.is_dir():
-        names = [f"{name}:{(path / name).stat().st_size}" for name in ImageFolder(path).file_names]
-        listed = "\n".join(names).encode("utf-8", "surrogateescape")
-        return f"{path.name} {hashlib.sha256(listed).hexdigest()[:16]}"
-    size, end = path.stat().st_size, 1 << 20
-    with path.open("rb") as file:
-        digest = hashlib.sha256(file.read(end))
-        file.seek(max(0, size - end))
-        digest.update(file.read(end))
-    return f"{path.name} {size} {digest.hexdigest()[:16]}"
 
 
 @dataclass(frozen=True)

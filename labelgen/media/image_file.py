@@ -17,14 +17,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.atomic_files import write_atomic
 from labelgen.errors import DataError, LabelgenError
 from labelgen.media.image_header import image_size
 
-__all__ = ["MAX_PIXELS_VARIABLE", "decode_image", "max_pixels", "read_image"]
+__all__ = ["MAX_PIXELS_VARIABLE", "decode_image", "max_pixels", "read_image", "write_image"]
 
 MAX_PIXELS_VARIABLE = "LABELGEN_MAX_PIXELS"
 _MAX_PIXELS = 100_000_000
 _MAX_BYTES_PER_PIXEL = 8
+
+
+def write_image(path: Path, image: NDArray[np.uint8]) -> Path:
+    """Write an image file, whole or not at all, and return its path.
+
+    Args:
+        path: its suffix says how the image is encoded.
+        image: (H, W, 3) uint8 BGR or (H, W) uint8.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    write_atomic(path, cv2.imencode(path.suffix.lower(), image)[1].tobytes())
+    return path
 
 
 def max_pixels() -> int:

@@ -27,6 +27,7 @@ from labelgen.media.container.frame_geometry import FrameGeometry
 from labelgen.media.container.video_tracks import INTERLACED, display_matrix, pixel_count, stream_note
 from labelgen.media.frames import Frame, always
 from labelgen.media.prefetch import prefetch
+from labelgen.output_names import folder_name
 from labelgen.problem_counts import count_of
 
 __all__ = ["VideoStream", "is_stream_url"]
@@ -39,6 +40,12 @@ _OPEN_OPTIONS = {"protocol_whitelist": ",".join([*_PROTOCOLS, "tls", "httpproxy"
 _PROBE_FRAMES = 8
 # Packets kept while frames are worked on, in a stream whose frames are timed by their arrival.
 _PACKETS_AHEAD = 500
+
+
+def stream_name(url: str) -> str:
+    """Return the name of a stream for its results: the last part of its address, without an extension."""
+    last = url.rsplit("/", 1)[-1].split("?")[0] or "stream"
+    return folder_name(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(last).stem), "stream")
 
 
 def is_stream_url(source: str) -> bool:
@@ -85,7 +92,7 @@ class VideoStream:
         deinterlace: bool = False,
     ) -> None:
         self.url, self.path = url, Path(url.rsplit("/", 1)[-1].split("?")[0] or "stream")
-        self.name = re.sub(r"[^A-Za-z0-9_.-]+", "_", self.path.stem) or "stream"
+        self.name = stream_name(url)
         self.notes: list[str] = []
         self.problems: list[str] = []
         self.failure: Exception | None = None

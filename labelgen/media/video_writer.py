@@ -6,6 +6,8 @@ index at the end is missing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.atomic_files import as_output_error
 from labelgen.errors import OutputError
 from labelgen.media.container.file_names import ffmpeg_name
 
@@ -57,17 +60,16 @@ class VideoWriter:
             )
         codecs = _codecs(crf, preset)
         name, options = next((codec for codec in codecs if codec[0] in av.codecs_available), codecs[-1])
-        try:
+        self._av, self._count, self._path = av, 0, path
+        with self._named_errors():
             self._container = av.open(ffmpeg_name(path), "w", format="avi")
-        except (OSError, av.error.FFmpegError) as err:
-            raise OutputError(f"{path}: {err.strerror or err}") from None
         rate = Fraction(fps).limit_denominator(1001)
         stream: Any = self._container.add_stream(name, rate=rate, options=options)
         stream.width, stream.height = size_wh
         stream.pix_fmt = "yuv420p"
         stream.codec_context.gop_size = max(1, round(fps))
         stream.codec_context.thread_count = 1
-        self._stream, self._av, self._count, self._path = stream, av, 0, path
+        self._stream = stream
 
     def write(self, frame: NDArray[np.uint8]) -> None:
         """Append a frame (H, W, 3) uint8 BGR.
@@ -79,11 +81,18 @@ class VideoWriter:
         picture = self._av.VideoFrame.from_ndarray(planes, format="yuv420p")
         picture.pts = self._count
         self._count += 1
-        try:
+        with self._named_errors():
             for packet in self._stream.encode(picture):
                 self._container.mux(packet)
-        except (OSError, self._av.error.FFmpegError) as err:
-            raise OutputError(f"{self._path}: cannot write the video: {err.strerror or err}") from None
+
+    @contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        """Turn errors of the system and of FFmpeg into an OutputError that names the file."""
+        try:
+            with as_output_error(self._path):
+                yield
+        except self._av.error.FFmpegError as err:
+            raise OutputError(f"cannot write {self._path}: {err.strerror or err}") from None
 
     def __enter__(self) -> VideoWriter:
         return self
@@ -91,6 +100,11 @@ class VideoWriter:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for packet in self._stream.encode(None):
-            self._container.mux(packet)
-        self._container.close()
+        try:
+            with self._named_errors():
+                for packet in self._stream.encode(None):
+                    self._container.mux(packet)
+                self._container.close()
+        except OutputError:
+            if kind is None:  # an error that ended the block is the cause
+                raise

@@ -10,12 +10,13 @@ from typing import Any, Generic, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.atomic_files import TEMPORARY_PREFIX
 from labelgen.errors import DataError, LabelgenError
 from labelgen.labels import Sample
 from labelgen.shards.index import INDEX_NAME, read_index
 from labelgen.shards.reader import ShardReader
 
-__all__ = ["ShardDataset", "find_shards"]
+__all__ = ["ShardDataset", "check_finished", "find_shards"]
 
 _MAX_OPEN = 64
 """File handles a data set keeps open at once; some systems allow 256 to a process."""
@@ -110,6 +111,35 @@ class ShardDataset(Generic[Item]):
                 0 in each shard.
         """
         return np.concatenate([reader.table(name) for reader in self.readers])
+
+
+def check_finished(path: Path, readers: Sequence[ShardReader]) -> None:
+    """Refuse a folder whose data set is not finished, or was not moved up whole. Files that are named are taken.
+
+    Without an index, a folder counts as finished if no job is at work in it and the shards of each source are numbered
+    without a gap up to the last one.
+
+    Args:
+        path: the folder, or a shard.
+        readers: of its shards.
+
+    Raises:
+        DataError: it is not finished.
+    """
+    if not path.is_dir() or (path / INDEX_NAME).is_file():
+        return
+    parts: dict[str, set[int]] = {}
+    whole = not any(path.glob(f"{TEMPORARY_PREFIX}*"))
+    for reader in readers:
+        parts.setdefault(str(reader.attributes["source"]), set()).add(int(reader.attributes["part"]))
+        if reader.attributes["last"]:
+            parts[str(reader.attributes["source"])].add(-1)
+        reader.close()
+    if not whole or any(numbers != set(range(-1, max(numbers) + 1)) for numbers in parts.values()):
+        raise DataError(
+            f"{path}: an unfinished data set, as it has no {INDEX_NAME}; run the command that made it once more, or "
+            "name its shards as files"
+        )
 
 
 def find_shards(paths: str | Path | Sequence[str | Path]) -> list[Path]:

@@ -96,6 +96,7 @@ def load_own_camera(
     sun: tuple[float, float] | None = None,
     plates: str | None = None,
     deinterlace: bool = False,
+    overwrite: bool = False,
     thresholds: OwnCameraThresholds = OWN_CAMERA,
 ) -> OwnCamera:
     """Estimate all that rendering traffic into a video needs.
@@ -118,7 +119,7 @@ def load_own_camera(
         CalibrationError: there is no calibration, and the video does not allow one.
     """
     files = find_scene(video, calibration=calibration, road_mask=road_mask, may_lack=True, deinterlace=deinterlace)
-    parts = complete_scene(files, folder / files.name)
+    parts = complete_scene(files, folder / files.name, overwrite=overwrite)
     footage = read_footage(video, deinterlace=deinterlace)
     height, width = footage.background.shape[:2]
     camera = parts.camera((width, height))

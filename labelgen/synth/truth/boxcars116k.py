@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labelgen.atomic_files import make_folder, write_atomic
-from labelgen.errors import OutputError
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.progress import progress_bar
+from labelgen.staged_output import StagedOutput
 from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
 from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.scene.road_image import draw_scene
@@ -110,9 +109,21 @@ def write_boxcars_tree(
         DataError: no such body type.
     """
     check_kinds(kinds or [])
-    if (out / "dataset.pkl").exists() and not overwrite:
-        raise OutputError(f"{out}: it holds a data set already; choose another folder", parameter="overwrite")
-    shutil.rmtree(out / "images", ignore_errors=True)
+    kind = f"{out}: it holds a data set already"
+    with StagedOutput(out, "synth", _FILES, overwrite=overwrite, patterns=_CROPS, kind=kind) as output:
+        summary = _write_tree(output.path, vehicles, seed, cameras, kinds)
+        output.publish()
+    return {**summary, "root": str(out)}
+
+
+_FILES = ("dataset.pkl", "atlas.pkl", "classification_splits.pkl", "json_data/dataset.json")
+_CROPS = ("images/*/1/[0-9]*_[0-9]*.png",)
+
+
+def _write_tree(
+    out: Path, vehicles: int, seed: int, cameras: int | None, kinds: Sequence[str] | None
+) -> dict[str, Any]:
+    """Write a tree into a folder; see `write_boxcars_tree`."""
     make_folder(out / "json_data")
     names = CAMERAS[: max(1, min(len(CAMERAS), vehicles // 2 if cameras is None else cameras))]
     entries: dict[str, Any] = {}
@@ -137,7 +148,7 @@ def write_boxcars_tree(
         write_atomic(path, pickle.dumps(content, protocol=2))
     write_atomic(out / "json_data" / "dataset.json", json.dumps(dataset).encode())
     instances = sum(len(s["instances"]) for s in samples)
-    return {"samples": len(samples), "instances": instances, "cameras": len(entries), "root": str(out)}
+    return {"samples": len(samples), "instances": instances, "cameras": len(entries)}
 
 
 def _camera_entry(camera: Camera) -> dict[str, Any]:

@@ -12,10 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.atomic_files import make_folder, write_atomic, write_json
-from labelgen.datasets.scene import is_session
+from labelgen.atomic_files import write_atomic, write_json
+from labelgen.datasets.scene import find_scene, is_session
 from labelgen.errors import OutputError
-from labelgen.progress import defer_interrupt, progress_bar
+from labelgen.interruption import defer_interrupt
+from labelgen.output_names import check_name
+from labelgen.progress import progress_bar
+from labelgen.staged_output import StagedOutput
 from labelgen.synth.renderer.placed_vehicle import PlacedVehicle
 from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.renderer.vehicle_masks import DrawnVehicle
@@ -40,7 +43,7 @@ class SessionSummary:
         frames: number of rendered frames.
         vehicles: number of vehicles.
         masks: number of masks in all frames together.
-        complete: False after an interruption.
+        signal: number of the signal that ended it early, so that it is shorter; 0 where none did.
         files: name -> path.
         measured: what was measured in the video that the scene was taken from, in words; empty without one.
     """
@@ -49,9 +52,14 @@ class SessionSummary:
     frames: int
     vehicles: int
     masks: int
-    complete: bool
+    signal: int
     files: dict[str, str]
     measured: dict[str, str]
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has its whole length."""
+        return self.signal == 0
 
 
 def place(trip: Trip, vehicle: VehicleModel, time_s: float) -> PlacedVehicle:
@@ -84,7 +92,7 @@ def write_session(
     video: bool = True,
     overwrite: bool = False,
 ) -> SessionSummary:
-    """Render traffic and write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`.
+    """Render traffic and write `out/dataset/NAME`, `out/results/NAME` and `out/truth/NAME`, all of it or nothing.
 
     Args:
         out: root of the tree.
@@ -92,7 +100,7 @@ def write_session(
         fps: frames per second; when None 25, or those of the video that `scene` names.
         size_wh: frame size, px; with `scene` that of its picture.
         seed: everything that varies comes from it.
-        name: of the session, session0_center when None; with `scene` that of the real one.
+        name: of the session; when None session0_center, or with `scene` that of the real one or of the video.
         weather: light; when None at random, overcast in a real session, as it looks in a video.
         per_minute: vehicles per lane and minute.
         kinds: body types to use; by their shares in traffic when None.
@@ -117,34 +125,76 @@ def write_session(
     check_kinds(kinds or [])
     check_plates(plates)
     _check_replay(scene, replay)
+    name = _name(name, scene, calibration, road_mask)
+    with _staged(out, name, overwrite) as output:
+        if scene is None:
+            setting = _made_up(seed, size_wh, heading, name, weather)
+        elif is_session(scene):
+            setting = _real(scene, weather, seed)
+        else:
+            setting = _own(
+                scene, weather, seed, out, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
+                plates=plates, deinterlace=deinterlace, overwrite=overwrite,
+            )  # fmt: skip
+        setting = replace(setting, scene=_renamed(setting.scene, name))
+        fps = fps or setting.fps
+        trips = _trips(setting, replay, duration_s, seed, start_s, per_minute, kinds)
+        folders = {part: output.stage(f"{part}/{name}/file").parent for part in _PARTS}
+        rendered = _render(folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video)
+        _write_beside(folders, setting, trips, rendered, fps)
+        output.publish()
+    files = {key: out / part / name / file for key, (part, file) in _FILES.items()}
+    return SessionSummary(
+        name, rendered.frames, len(rendered.cars), rendered.masks, rendered.signal,
+        {key: str(path) for key, path in files.items() if path.exists()}, setting.measured,
+    )  # fmt: skip
+
+
+_PARTS = ("dataset", "results", "truth")
+_FILES = {
+    "video": ("dataset", "video.avi"),
+    "calibration": ("results", "system_optimal_calibration.json"),
+    "tracks": ("results", "system_truth.json"),
+    "masks": ("truth", "masks.json"),
+    "boxes": ("truth", "boxes.jsonl"),
+}
+_OTHER_FILES = (
+    ("dataset", "gt_data.pkl"),
+    ("dataset", "video_mask.png"),
+    ("dataset", "screen.png"),
+    ("truth", "tracks.json"),
+)
+
+
+def _name(given: str | None, scene: Path | None, calibration: Path | None, road_mask: Path | None) -> str:
+    """Return the name of the session."""
+    if given is not None:
+        return check_name(given, "name")
     if scene is None:
-        setting = _made_up(seed, size_wh, heading, name or "session0_center", weather)
-    elif is_session(scene):
-        setting = _real(scene, weather, seed)
-    else:
-        setting = _own(
-            scene, weather, seed, out, calibration=calibration, road_mask=road_mask, heading=heading, sun=sun,
-            plates=plates, deinterlace=deinterlace,
-        )  # fmt: skip
-    fps = fps or setting.fps
+        return "session0_center"
+    return find_scene(scene, calibration=calibration, road_mask=road_mask, need_frames=False, may_lack=True).name
+
+
+def _staged(out: Path, name: str, overwrite: bool) -> StagedOutput:
+    """Return what makes the files of a session."""
+    names = [f"{part}/{name}/{file}" for part, file in (*_OTHER_FILES, *_FILES.values())]
+    return StagedOutput(out, f"synth-{name}", names, overwrite=overwrite)
+
+
+def _renamed(scene: RoadScene, name: str) -> RoadScene:
+    return replace(scene, name=name, camera=replace(scene.camera, name=name))
+
+
+def _trips(
+    setting: _Setting, replay: bool, duration_s: float, seed: int, start_s: float | None, per_minute: float,
+    kinds: Sequence[str] | None,
+) -> list[Trip]:  # fmt: skip
+    """Return the recorded or random traffic of a place."""
     if replay and setting.surveyed is not None:
         from labelgen.synth.truth.replay import replayed_traffic
 
-        trips = replayed_traffic(setting.scene, setting.surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
-    else:
-        trips = random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
-    folders = _folders(out, setting.scene.name, overwrite)
-    rendered = _render(folders, setting, trips, round(duration_s * fps), fps, seed, plates=plates, video=video)
-    files = _write_beside(folders, setting, trips, rendered, fps)
-    return SessionSummary(
-        setting.scene.name,
-        rendered.frames,
-        len(rendered.cars),
-        rendered.masks,
-        rendered.complete,
-        files,
-        setting.measured,
-    )
+        return replayed_traffic(setting.scene, setting.surveyed, duration_s, seed, start_s=start_s, kinds=kinds)
+    return random_traffic(setting.scene, duration_s, seed, per_minute=per_minute, kinds=kinds)
 
 
 def _check_replay(scene: Path | None, replay: bool) -> None:
@@ -179,7 +229,7 @@ class _Setting:
 class _Rendered:
     """How much was rendered; `cars` are the tracks as the public result files hold them."""
 
-    complete: bool
+    signal: int
     frames: int
     masks: int
     cars: list[dict[str, Any]]
@@ -212,19 +262,10 @@ def _own(video: Path, weather: Weather | None, seed: int, out: Path, **given: An
     return _Setting(own.scene, own.light, None, own.sensor, None, own.fps, own.measured)
 
 
-def _folders(out: Path, name: str, overwrite: bool) -> dict[str, Path]:
-    folders = {part: out / part / name for part in ("dataset", "results", "truth")}
-    for folder in folders.values():
-        if folder.exists() and any(folder.iterdir()) and not overwrite:
-            raise OutputError(f"{folder}: it exists already; choose another folder", parameter="overwrite")
-        make_folder(folder)
-    return folders
-
-
 def _write_beside(
     folders: dict[str, Path], setting: _Setting, trips: Sequence[Trip], rendered: _Rendered, fps: float
-) -> dict[str, str]:
-    """Write the files that belong to a rendered video; returns the paths of all files by name."""
+) -> None:
+    """Write the files that belong to a rendered video."""
     scene = setting.scene
     assert scene.background is not None
     write_atomic(folders["dataset"] / "video_mask.png", _png(scene.road_mask.astype(np.uint8) * 255))
@@ -238,14 +279,6 @@ def _write_beside(
     write_json(folders["results"] / "system_optimal_calibration.json", calibration)
     gt = ground_truth(scene, trips, rendered.frames / fps, fps, setting.surveyed)
     write_atomic(folders["dataset"] / "gt_data.pkl", pickle.dumps(gt, protocol=2))
-    files = {
-        "video": folders["dataset"] / "video.avi",
-        "calibration": folders["results"] / "system_optimal_calibration.json",
-        "tracks": folders["results"] / "system_truth.json",
-        "masks": folders["truth"] / "masks.json",
-        "boxes": folders["truth"] / "boxes.jsonl",
-    }
-    return {k: str(v) for k, v in files.items() if v.exists()}
 
 
 def _render(
@@ -258,7 +291,7 @@ def _render(
 
     scene, light = setting.scene, setting.light
     assert scene.background is not None
-    frames, masks, complete = 0, 0, True
+    frames, masks, signal = 0, 0, 0
     spans = {trip.track_id: trip.span_s(scene.x_range) for trip in trips}
     vehicles: dict[int, VehicleModel] = {}
     with ExitStack() as stack:
@@ -274,8 +307,7 @@ def _render(
         advance = stack.enter_context(progress_bar(count, "frame", scene.name))
         stop = stack.enter_context(defer_interrupt())
         for number in range(count):
-            if stop():  # what is written so far is a shorter recording, complete in itself
-                complete = False
+            if signal := stop():  # what is written so far is a shorter recording, complete in itself
                 break
             time_s = number / fps
             here = [t for t in trips if spans[t.track_id][0] <= time_s <= spans[t.track_id][1]]
@@ -294,7 +326,7 @@ def _render(
             frames += 1
             advance(1)
         cars = truth.result_cars()
-    return _Rendered(complete, frames, masks, cars)
+    return _Rendered(signal, frames, masks, cars)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

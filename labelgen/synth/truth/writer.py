@@ -4,11 +4,12 @@
     truth/SESSION/boxes.jsonl    one line per frame: 3D boxes in frame px and road metres
     truth/SESSION/tracks.json    one entry per vehicle: body type, size, lane, speed, frames
 
-Each frame is written at once, so that an interrupted rendering leaves the truth of the frames it made.
+Each frame is written at once. A rendering that is ended early has the truth of the frames it made.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import tempfile
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labelgen.atomic_files import make_folder
+from labelgen.atomic_files import as_output_error, make_folder
 from labelgen.geometry import Camera, road_cuboids
 from labelgen.labels import VehicleClass
 from labelgen.synth.renderer.vehicle_masks import DrawnVehicle
@@ -90,6 +91,9 @@ class TruthWriter:
         camera: of the recording.
         fps: frames per second.
         video_name: what COCO's `file_name` says.
+
+    Raises:
+        OutputError: a file cannot be written.
     """
 
     def __init__(self, folder: Path, camera: Camera, fps: float, video_name: str = "video.avi") -> None:
@@ -97,8 +101,8 @@ class TruthWriter:
         self._folder, self._camera, self._fps, self._video = folder, camera, fps, video_name
         self._open = ExitStack()
         self._boxes = self._open.enter_context((folder / "boxes.jsonl").open("w", encoding="utf-8"))
-        self._images = self._open.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
-        self._annotations = self._open.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
+        self._images = self._open.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8", dir=folder))  # noqa: SIM115
+        self._annotations = self._open.enter_context(tempfile.TemporaryFile("w+", encoding="utf-8", dir=folder))  # noqa: SIM115
         self._count = self._frames = 0
         self._tracks: dict[int, dict[str, Any]] = {}
         self._places: dict[int, tuple[list[int], list[float], list[float]]] = {}
@@ -129,9 +133,10 @@ class TruthWriter:
             self._track(trip, frame, near, pixels)
             if drawn_vehicle is not None:
                 self._annotate(trip, drawn_vehicle, size)
-        self._boxes.write(json.dumps({"frame": frame, "vehicles": vehicles}) + "\n")
         image = {"id": frame, "file_name": self._video, "frame": frame, "width": size[0], "height": size[1]}
-        self._images.write(("," if self._frames else "") + json.dumps(image))
+        with as_output_error(self._folder):
+            self._boxes.write(json.dumps({"frame": frame, "vehicles": vehicles}) + "\n")
+            self._images.write(("," if self._frames else "") + json.dumps(image))
         self._frames += 1
 
     def _vehicle(
@@ -177,7 +182,8 @@ class TruthWriter:
             "track_id": trip.track_id,
             "visible": round(drawn_vehicle.visible, 4),
         }
-        self._annotations.write(("," if self._count > 1 else "") + json.dumps(annotation))
+        with as_output_error(self._folder):
+            self._annotations.write(("," if self._count > 1 else "") + json.dumps(annotation))
 
     def describe(self, trips: Sequence[Trip]) -> None:
         """Keep what tracks.json says of each vehicle."""
@@ -206,6 +212,15 @@ class TruthWriter:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is not None:
+            with contextlib.suppress(OSError):  # the error that ended the block is the cause
+                self._open.close()
+            return
+        with as_output_error(self._folder):
+            self._finish()
+
+    def _finish(self) -> None:
+        """Write what is known only at the end, and close the files."""
         categories = [{"id": number, "name": name} for number, name in _NAMES.items()]
         with (self._folder / "masks.json").open("w", encoding="utf-8") as out:
             out.write('{"info": {"description": "exact masks of a synthetic recording"}, "images": [')

@@ -60,8 +60,7 @@ def test_a_detector_measures_speeds(tmp_path: Path, pair: Pair) -> None:
     assert view.rectification is not None
     detector = ColourDetector(view.rectification.vpu)
     source = DetectorDetections(detector, view)
-    files = ResultFiles.of(tmp_path / "out", "road", "transform3d")
-    files.prepare(overwrite=False)
+    files = ResultFiles.within(tmp_path, "transform3d")
     frames = TimedFrames(open_frames(video), fps=25.0)
     summary = measure(detect(source, frames), view, SpeedMeter(view.camera, fps=25.0), files, fps=25.0)
     assert detector.batches == [7] * 8 + [4]
@@ -79,8 +78,7 @@ def test_vehicles_are_written_when_frames_break_off(tmp_path: Path, error: BaseE
     """One vehicle has passed before the frames break off, and one is still in the frame."""
     view = make_view(Variant.TRANSFORM3D)
     drives = [Drive(90.0, 36.0, 2.0), Drive(40.0, 36.0, -3.0)]
-    files = ResultFiles.of(tmp_path, "road", "transform3d")
-    files.prepare(overwrite=False)
+    files = ResultFiles.within(tmp_path, "transform3d")
     on_disk: list[int] = []
 
     def breaking() -> object:

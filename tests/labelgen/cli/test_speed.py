@@ -433,8 +433,9 @@ def test_a_disk_that_fills(scene: Path, tmp_path: Path, limit: int, render: bool
     done = run_code(code, [*arguments, *(["--render"] if render else [])])
     assert done.returncode == 2, done.stderr
     assert "file too large" in done.stderr
-    assert "finished vehicles are in" in done.stderr
-    folder = tmp_path / "out" / "road"
+    folder = tmp_path / "out" / "road" / ".labelgen-speed-transform3d"
+    assert f"finished vehicles are in {folder}" in done.stderr
+    assert not list((tmp_path / "out" / "road").glob("*_transform3d.*"))  # nothing unfinished under a final name
     table = rows(folder / "vehicles_transform3d.csv")
     cars = json.loads((folder / "system_transform3d.json").read_text())["cars"]
     assert sorted(int(row["id"]) for row in table) == sorted(car["id"] for car in cars)

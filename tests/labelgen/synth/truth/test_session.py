@@ -173,11 +173,12 @@ def test_nothing_is_replaced_unasked(root: Path) -> None:
 
 
 def test_an_interrupted_session_is_a_shorter_one(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from labelgen.cli.synth import synth_app; synth_app()", "session"]
+    command = [sys.executable, "-m", "labelgen", "synth", "session"]
     command += ["--out", str(tmp_path), "--size", "320x180", "--duration", "200", "--seed", "4"]
     boxes_file = tmp_path / "truth" / NAME / "boxes.jsonl"
+    growing = tmp_path / f".labelgen-synth-{NAME}" / "truth" / NAME / "boxes.jsonl"
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while not boxes_file.exists() or not boxes_file.stat().st_size:
+    while not growing.exists() or not growing.stat().st_size:
         assert process.poll() is None
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
