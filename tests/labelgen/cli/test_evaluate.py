@@ -182,7 +182,7 @@ def break_calibration(root: Path) -> None:
         (None, ["--recordings", ","], "no recording"),
         (None, ["--calibration", "nobody"], r"system_nobody\.json: no such file"),
         (None, ["--format", "html"], "'html' is not one of 'text', 'markdown', 'csv'"),
-        (None, ["--json", "/proc/nowhere/out.json"], "cannot write"),
+        (None, ["--json", "/proc/nowhere/out.json"], "its folder is missing or cannot be written"),
     ],
 )
 def test_what_cannot_be_scored_is_one_line(
