@@ -79,7 +79,7 @@ _ARGUMENTS = "labelgen.arguments"
 
 
 # Commands that find what an interrupted run of theirs has made.
-_RESUMED_BY_THEMSELVES = ("boxcars", "bcs-masks")
+_RESUMED_BY_THEMSELVES = ("labelgen boxcars", "labelgen bcs-masks")
 _GOES_ON = "the same command goes on where it stopped"
 
 
@@ -97,7 +97,7 @@ class _Command(TyperCommand):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as err:
-            goes_on = _GOES_ON if self.name in _RESUMED_BY_THEMSELVES else ""
+            goes_on = _GOES_ON if ctx.command_path in _RESUMED_BY_THEMSELVES else ""
             raise EndedBySignalError(signal_of(err), goes_on) from None
         except LabelgenError as err:
             options = {parameter.name: parameter.opts[0] for parameter in self.params}

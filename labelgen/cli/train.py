@@ -85,7 +85,6 @@ def train(
     from detector.training.config import MachineConfig, find_preset
     from detector.training.train import train as run
 
-    check_report_path(json_file)
     named = weights in ("imagenet", "none")
     settings = find_preset(
         preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,

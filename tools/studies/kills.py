@@ -25,7 +25,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,26 +34,16 @@ import cv2
 import numpy as np
 
 from labelgen.cli.main import main as run_command
+from tools.studies.kill_jobs import JOBS, command_of, input_commands
 
 __all__ = ["JOBS", "Failure", "kills"]
 
-_SIZE, _SECONDS = "320x180", 1.2
 _TIMEOUT_S = 300
 _LAST_EVENTS = 30
 """Changes at the end of a run among which half of the moments are: there results are moved up."""
 
 Content = dict[str, str]
 """Hashes of files by their paths, without those in hidden folders of unfinished runs."""
-
-
-class Job(NamedTuple):
-    """A command, with arguments for older and for newer results."""
-
-    arguments: Callable[[Path, bool], list[object]]
-    may_be_shorter: bool = False
-    """Whether Ctrl-C leaves a shorter result that is whole in itself."""
-    resumes: bool = False
-    """Whether a new run over an older one that was begun continues with another option than `--overwrite`."""
 
 
 @dataclass(frozen=True)
@@ -73,86 +63,6 @@ class Failure:
     how: str
     problem: str
     output: str
-
-
-# -- commands -----------------------------------------------------------------------------------------------
-
-
-def _session(root: Path) -> Path:
-    return root / "data" / "dataset" / "session0_center"
-
-
-def _masks(root: Path) -> str:
-    return f"coco:{root / 'data' / 'truth' / 'session0_center' / 'masks.json'}"
-
-
-def _train(root: Path, new: bool) -> list[object]:
-    return [
-        "train", root / "shards", "--preset", "small", "--epochs", 2, "--steps-per-epoch", 2, "--batch", 1,
-        "--weights", "none", "--device", "cpu", "--checkpoint-every", 1, "--seed", int(new),
-    ]  # fmt: skip
-
-
-JOBS: dict[str, Job] = {
-    "synth session": Job(
-        lambda root, new: ["synth", "session", "--size", _SIZE, "--duration", 0.4, "--seed", int(new)],
-        may_be_shorter=True,
-    ),
-    "synth boxcars": Job(lambda root, new: ["synth", "boxcars", "--vehicles", 2, "--seed", int(new)]),
-    "boxcars": Job(
-        lambda root, new: ["boxcars", "--root", root / "tree", "--cameras", "all", "--all-directions", "--per-shard", 2]
-        + ["--workers", 1, "--size", "64x64" if new else "96x64"]
-    ),
-    "bcs-masks": Job(
-        lambda root, new: ["bcs-masks", _session(root), "--masks", _masks(root), "--every", 4 if new else 6]
-        + ["--size", "160x96", "--per-shard", 3, "--min-height", 3]
-    ),
-    "merge": Job(lambda root, new: ["merge", root / "shards", *([root / "exact"] if new else [])]),
-    "speed": Job(
-        lambda root, new: ["speed", _session(root), "--from", f"masks:{_masks(root)}", "--render"]
-        + ["--size", "320x180" if new else "160x96"]
-    ),
-    "detect": Job(
-        lambda root, new: ["detect", root / "run" / "last.ckpt", root / "shards", "--device", "cpu", "--render"]
-        + ["--score", 0.0, "--limit", 3 if new else 5]
-    ),
-    "audit": Job(lambda root, new: ["audit", root / "shards", "--count", 4 if new else 12]),
-    "rectify": Job(
-        lambda root, new: ["rectify", _session(root), "--size", "160x96" if new else "96x160"],
-    ),
-    "evaluate": Job(
-        lambda root, new: ["evaluate", "--dataset", root / "data" / "dataset", "--results", root / "data" / "results"]
-        + ["--system", "truth", "optimal_calibration" if new else "truth", "--recordings", "all"]
-    ),
-    "train": Job(_train, resumes=True),
-}  # fmt: skip
-_OUT_OPTION = {"evaluate": "--plots"}
-_OUT_NAME = {"rectify": "out/picture.png"}
-_NO_OVERWRITE = ("evaluate",)
-
-
-def _command(name: str, root: Path, out: Path, *, new: bool) -> list[str]:
-    place = out / Path(_OUT_NAME[name]).name if name in _OUT_NAME else out
-    options: list[object] = [_OUT_OPTION.get(name, "--out"), place]
-    options += [] if name in _NO_OVERWRITE else ["--overwrite"]
-    return [str(argument) for argument in [*JOBS[name].arguments(root, new), *options]]
-
-
-def _make_inputs(root: Path) -> None:
-    """Make what the commands read."""
-    run: list[list[object]] = [
-        ["synth", "session", "--size", _SIZE, "--duration", _SECONDS, "--traffic", 60, "--out", root / "data"],
-        ["synth", "boxcars", "--vehicles", 4, "--seed", 3, "--out", root / "tree"],
-        ["bcs-masks", _session(root), "--masks", _masks(root), "--every", 5, "--size", "160x96", "--min-height", 3]
-        + ["--out", root / "shards"],
-        ["bcs-masks", _session(root), "--masks", _masks(root), "--every", 7, "--size", "160x96", "--min-height", 3]
-        + ["--out", root / "exact"],
-        [*_train(root, new=False), "--out", root / "run"],
-    ]
-    for arguments in run:
-        result = _run([str(argument) for argument in arguments], root / "log.txt")
-        if result.code != 0:
-            raise RuntimeError(f"{arguments}: {result.output}")
 
 
 # -- processes ----------------------------------------------------------------------------------------------
@@ -333,11 +243,11 @@ class _Undisturbed(NamedTuple):
 def _undisturbed(name: str, root: Path, work: Path, store: Path) -> _Undisturbed:
     out = work / "out"
     shutil.rmtree(out, ignore_errors=True)
-    result = _run(_command(name, root, out, new=False), work / "log.txt")
+    result = _run(command_of(name, root, out, new=False), work / "log.txt")
     before, older = _content(out), store / name.replace(" ", "-")
     shutil.copytree(out, older)
     if result.code == 0:
-        result = _run(_command(name, root, out, new=True), work / "log.txt")
+        result = _run(command_of(name, root, out, new=True), work / "log.txt")
     if result.code != 0:
         raise RuntimeError(f"{name}: {result.output}")
     new = _weights(out) if JOBS[name].resumes else _content(out)
@@ -355,7 +265,7 @@ def _case(
     if over_older:
         shutil.copytree(known.older, out)
     before = known.before if over_older else {}
-    command = _command(name, root, out, new=True)
+    command = command_of(name, root, out, new=True)
     kind = rng.choice(["SIGKILL", "SIGINT", "SIGTERM", "full disk"], p=[0.45, 0.25, 0.15, 0.15])
     if kind == "full disk":
         limit = int(rng.integers(200, max(300, known.largest)))
@@ -414,7 +324,10 @@ def kills(
         root, work, store = (Path(folder) / part for part in ("inputs", "work", "older"))
         for place in (root, work, store):
             place.mkdir()
-        _make_inputs(root)
+        for arguments in input_commands(root):
+            made = _run(arguments, work / "log.txt")
+            if made.code != 0:
+                raise RuntimeError(f"{arguments}: {made.output}")
         known: dict[str, _Undisturbed] = {}
         for number in range(count) if only is None else [only]:
             rng = np.random.default_rng([seed, number])
