@@ -53,9 +53,8 @@ def test_newer_outputs_replace_older_ones_and_nothing_else(tmp_path: Path) -> No
 @pytest.mark.parametrize("keep", [False, True])
 def test_a_run_that_fails_leaves_older_outputs(tmp_path: Path, keep: bool) -> None:
     write(tmp_path, OLD)
-    with pytest.raises(UnicodeEncodeError), output(tmp_path, keep=keep) as staged:
-        staged.stage("main.json").write_text("half")
-        staged.stage("sub/rows.csv").write_text("\ud800")
+    with pytest.raises(UnicodeEncodeError):
+        write(tmp_path, {"main.json": "half", "sub/rows.csv": "\ud800"}, keep=keep)
     rest = (
         {".labelgen-job/lock": "", ".labelgen-job/main.json": "half", ".labelgen-job/sub/rows.csv": ""} if keep else {}
     )

@@ -138,7 +138,7 @@ def test_an_unfinished_data_set_is_refused_unless_its_shards_are_named(tmp_path:
     check_finished(folder, readers)  # whole by the numbers of its shards
     (folder / ".labelgen-job").mkdir()
     with pytest.raises(
-        DataError, match="an unfinished data set, as it has no dataset.json; .* name its shards as files"
+        DataError, match=r"an unfinished data set, as it has no dataset\.json; .* name its shards as files"
     ):
         check_finished(folder, readers)
     check_finished(shard, readers)
