@@ -10,7 +10,7 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from labelgen.cli.foreign_messages import counted_foreign_messages
-from labelgen.cli.notes import LOGGERS, finish_notes, name_options, notes_beside, notes_on_screen
+from labelgen.cli.notes import LOGGERS, finish_notes, name_options, notes_beside, notes_on_screen, options_in_notes
 from labelgen.cli.options import APP_SETTINGS
 from labelgen.cli.printing import EndedBySignalError, say
 from labelgen.errors import LabelgenError, NoWeightsError
@@ -92,6 +92,8 @@ class _Command(TyperCommand):
         return super().parse_args(ctx, [arg.strip() if option in _WORD_OPTIONS else arg for option, arg in words])
 
     def invoke(self, ctx: Any) -> Any:
+        known = {option for parameter in self.params for option in parameter.opts}
+        options_in_notes(known)
         if isinstance(ctx.params.get("out"), Path):
             notes_beside(ctx.params["out"])
         try:
@@ -104,7 +106,8 @@ class _Command(TyperCommand):
             parameters = [*err.parameters, *(_OTHER_WAY[name] for name in err.parameters if name in _OTHER_WAY)]
             names = [options.get(name) or options.get(_OPTION_OF.get(name, "")) for name in parameters]
             commands = self._other_commands(ctx, err.other_masks) if isinstance(err, NoWeightsError) else []
-            raise _OptionError(err, list(dict.fromkeys(name for name in names if name is not None)), commands) from err
+            given = list(dict.fromkeys(name for name in names if name is not None))
+            raise _OptionError(err, given, commands, known) from err
 
     def _other_commands(self, ctx: Any, other_masks: Sequence[str]) -> list[str]:
         """Return the given command with other masks."""
@@ -120,9 +123,10 @@ class _Command(TyperCommand):
 class _OptionError(LabelgenError):
     """An error of the library, with the options that it is about."""
 
-    def __init__(self, err: LabelgenError, options: Sequence[str], commands: Sequence[str] = ()) -> None:
-        text = " ".join(str(err).split())
-        text = name_options(text)
+    def __init__(
+        self, err: LabelgenError, options: Sequence[str], commands: Sequence[str], known: Collection[str]
+    ) -> None:
+        text = name_options(" ".join(str(err).split()), known)
         first = err.parameters[0] if err.parameters else ""
         # `--from masks:x` is more than the parameter `masks`: there the option stands at the end.
         leads = bool(first) and re.match(rf"{re.escape(first)}(?![\w.])", text) is not None

@@ -5,14 +5,23 @@ from __future__ import annotations
 import logging
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from labelgen.printable import hide_passwords, printable
 
-__all__ = ["LOGGERS", "NOTE_LIMITS", "NoteLimits", "finish_notes", "name_options", "notes_beside", "notes_on_screen"]
+__all__ = [
+    "LOGGERS",
+    "NOTE_LIMITS",
+    "NoteLimits",
+    "finish_notes",
+    "name_options",
+    "notes_beside",
+    "notes_on_screen",
+    "options_in_notes",
+]
 
 LOGGERS = ("labelgen", "detector")
 # Not only .log: that may be where the user's shell writes what is printed.
@@ -36,9 +45,14 @@ class NoteLimits:
 NOTE_LIMITS = NoteLimits()
 
 
-def name_options(text: str) -> str:
-    """Return text of the library with the options of the parameters that it names."""
-    return _NAMED_PARAMETERS.sub(lambda match: f"--{match[1].replace('_', '-')}", text)
+def name_options(text: str, options: Collection[str]) -> str:
+    """Return text of the library in which the parameters that it names are options, where the command has them."""
+
+    def named(match: re.Match[str]) -> str:
+        option = f"--{match[1].replace('_', '-')}"
+        return option if option in options else match[0]
+
+    return _NAMED_PARAMETERS.sub(named, text)
 
 
 class _Notes(logging.Handler):
@@ -47,6 +61,7 @@ class _Notes(logging.Handler):
     def __init__(self, limits: NoteLimits) -> None:
         super().__init__()
         self.limits, self.output = limits, None
+        self.options: Collection[str] = ()
         self._lines: dict[str, None] = {}
         self._shown = self._shown_notes = self._hidden = 0
 
@@ -55,7 +70,7 @@ class _Notes(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print or keep a line; planning a job and doing it may log the same one twice."""
         word = "note" if record.levelno == logging.INFO else record.levelname.lower()
-        line = hide_passwords(printable(f"{word}: {name_options(record.getMessage())}"))
+        line = hide_passwords(printable(f"{word}: {name_options(record.getMessage(), self.options)}"))
         if line in self._lines:
             return
         if len(self._lines) < self.limits.kept:
@@ -105,6 +120,12 @@ def notes_on_screen(limits: NoteLimits = NOTE_LIMITS) -> Iterator[None]:
         for logger, level in zip(loggers, levels, strict=True):
             logger.removeHandler(handler)
             logger.setLevel(level)
+
+
+def options_in_notes(options: Collection[str]) -> None:
+    """Say which options the command has: notes name no others."""
+    for handler in _running[-1:]:
+        handler.options = options
 
 
 def notes_beside(output: Path) -> None:

@@ -54,6 +54,20 @@ def test_commands_and_options_of_the_pages_exist(page: Path) -> None:
         assert used <= known, f"{line}: {sorted(used - known)}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_options_in_the_text_of_the_pages_exist(page: Path) -> None:
+    root: Any = typer.main.get_command(app)
+    commands = [root, *subcommands("labelgen", root).values()]
+    commands += [below for command in commands[1:] for below in subcommands("labelgen x", command).values()]
+    known = {o for command in commands for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help"}
+    spans = re.findall(r"`(--[a-z][^`]*|labelgen [^`]*)`", page.read_text(encoding="utf-8"))
+    named = {option for span in spans for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", span)}
+    # The programs of studies and benchmarks have options of their own.
+    tools = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tools").rglob("*.py"))
+    parameters = {f"--{word.replace('_', '-')}" for word in re.findall(r"^    (\w+): ", tools, re.MULTILINE)}
+    assert named <= known | parameters | set(re.findall(r"add_argument\(\s*\"(--[a-z-]+)\"", tools))
+
+
 def test_the_command_line_page_has_every_command() -> None:
     text = command_line_page()
     root: Any = typer.main.get_command(app)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer.main
 
+from labelgen.cli.main import app
+from labelgen.cli.notes import name_options
 from labelgen.errors import LabelgenError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,6 +46,77 @@ def test_no_message_of_the_library_names_an_option() -> None:
             if id(node) not in docstrings and OPTION.search(node.value)
         ]
     assert not wrong, "\n".join(wrong)
+
+
+def _commands() -> dict[str, list[Any]]:
+    """Commands by the function that each of them is, `module:name`; those of a group by their own names."""
+    group: Any = typer.main.get_command(app)
+    found: dict[str, list[Any]] = {}
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
+        for one in getattr(command, "commands", {"": command}).values():
+            function = inspect.unwrap(one.callback)
+            found.setdefault(f"{Path(inspect.getfile(function)).stem}:{function.__name__}", []).append(one)
+    return found
+
+
+def _options(command: Any) -> set[str]:
+    return {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+
+
+def _named_options(function: ast.AST) -> set[str]:
+    """Options in the texts of a function's body; its signature declares options, and names none."""
+    texts = (
+        node.value
+        for part in getattr(function, "body", [])
+        for node in ast.walk(part)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+    docstring = ast.get_docstring(function, clean=False) if isinstance(function, ast.FunctionDef) else None
+    return {option for text in texts if text != docstring for option in OPTION.findall(text)}
+
+
+def _functions(path: Path) -> dict[str, ast.FunctionDef]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {node.name: node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+def _called(function: ast.FunctionDef) -> set[str]:
+    return {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+
+
+def test_every_option_that_a_command_names_is_its_own() -> None:
+    """Also through the functions that commands share: each is followed to the commands that call it."""
+    files = sorted((ROOT / "labelgen" / "cli").glob("*.py"))
+    shared = {
+        name: node for path in files if path.stem in ("options", "printing") for name, node in _functions(path).items()
+    }
+    wrong, checked = [], set()
+    for place, commands in _commands().items():
+        stem, name = place.split(":")
+        functions = {**shared, **_functions(ROOT / "labelgen" / "cli" / f"{stem}.py")}
+        reached, new = set(), {name}
+        while new:
+            reached |= new
+            new = {other for one in new for other in _called(functions[one]) if other in functions} - reached
+        named = set().union(*(_named_options(functions[one]) for one in reached))
+        checked |= named
+        wrong += [
+            f"{command.name} names {sorted(named - _options(command))}"
+            for command in commands
+            if command.name != "demo"  # it calls other commands, with options of theirs
+            if named - _options(command)
+        ]
+    assert not wrong
+    assert {"--json", "--overwrite", "--out", "--from", "--pair", "--size", "--resume"} <= checked
+
+
+def test_parameters_in_notes_become_options_of_the_command() -> None:
+    text = "with scale_masks they are scaled; first_frame 1; for exact results set deinterlace"
+    assert name_options(text, {"--scale-masks", "--deinterlace"}) == (
+        "with --scale-masks they are scaled; first_frame 1; for exact results set --deinterlace"
+    )
+    assert name_options(text, ()) == text
 
 
 @pytest.mark.parametrize(
