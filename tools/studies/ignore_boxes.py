@@ -1,7 +1,7 @@
 r"""Whether every vehicle that a mask shows has a label or an ignored box, on rendered sessions.
 
     python -m tools.studies.ignore_boxes degrade SESSION... --out DIR [--seed 0]
-    labelgen bcs-masks SESSION --masks coco:DIR/NAME.json --every 1 --size 480x270 --out SHARDS
+    labelgen bcs-masks SESSION --masks coco:DIR/NAME.json --rule wider --every 1 --size 480x270 --out SHARDS
     python -m tools.studies.ignore_boxes count SHARDS... --truth SESSION... --masks DIR
 
 `degrade` makes masks like a network's out of exact ones: coarse outlines, edges that are off, boxes that are too

@@ -41,7 +41,7 @@ def test_every_vehicle_that_a_mask_shows_has_a_label_or_is_ignored(labelgen, tmp
     assert masks != degrade_session(session, seed=1)
     assert all(coco_mask.area(annotation["segmentation"]) > 0 for annotation in masks["annotations"])
     write_json(tmp_path / "masks.json", masks)
-    options = ["--masks", "coco:masks.json", "--every", 1, "--size", "480x270", "--out", "shards"]
+    options = ["--masks", "coco:masks.json", "--rule", "wider", "--every", 1, "--size", "480x270", "--out", "shards"]
     done = labelgen("bcs-masks", session, *options)
     assert done.returncode == 0, done.stderr
     samples = list(ShardDataset(tmp_path / "shards"))
