@@ -25,7 +25,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -304,7 +304,12 @@ def _problem_of_rerun(name: str, out: Path, known: _Undisturbed, again: Result) 
 
 
 def kills(
-    count: int, seed: int, *, only: int | None = None, names: Sequence[str] = tuple(JOBS)
+    count: int,
+    seed: int,
+    *,
+    only: int | None = None,
+    names: Sequence[str] = tuple(JOBS),
+    report: Callable[[str], object] = lambda line: None,
 ) -> tuple[Counter[str], list[Failure]]:
     """Run cases.
 
@@ -313,6 +318,7 @@ def kills(
         seed: of all random choices.
         only: number of the single case to run; None for all.
         names: commands to choose from.
+        report: called with a line for each case.
 
     Returns:
         How many cases of each kind went well, and those that did not.
@@ -335,6 +341,7 @@ def kills(
             if name not in known:
                 known[name] = _undisturbed(name, root, work, store)
             outcome = _case(number, rng, name, root, work, known[name])
+            report(f"{number} {outcome if isinstance(outcome, str) else 'WRONG ' + outcome.name}")
             if isinstance(outcome, Failure):
                 failures.append(outcome)
             else:
@@ -364,7 +371,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int)
     options = parser.parse_args()
-    outcomes, failures = kills(options.count, options.seed, only=options.only)
+    outcomes, failures = kills(
+        options.count, options.seed, only=options.only, report=lambda line: print(line, flush=True)
+    )
     for failure in failures:
         print(f"{failure.number} {failure.name}: {failure.how}\n  {failure.problem}\n{failure.output}")
     for kind, number in sorted(outcomes.items()):
