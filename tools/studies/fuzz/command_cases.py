@@ -54,7 +54,7 @@ def options_case(rng: Rng, good: Path, work: Path) -> Case:
     for _ in range(int(rng.integers(1, 3))):
         option = options[rng.integers(len(options))]
         value = _VALUES[rng.integers(len(_VALUES))]
-        if option == "--out" and value in ("", ".", "-"):
+        if option in ("--out", "--name") and value in ("", ".", "-", "nan", "inf", "-inf"):
             continue
         if option in arguments:
             place = arguments.index(option) + 1
