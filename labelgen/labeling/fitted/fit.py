@@ -115,7 +115,7 @@ def fit_bodies(
     fit = start_fit(outlines, vehicles, hypotheses, camera, forms, errors)
     priors = Priors.of(fit, forms, errors, np.array(shares))
     # A hypothesis of which a sighting lies beyond the horizon cannot be placed.
-    on_road = fit.sum_rows(1.0 - np.isfinite(fit.place).all(axis=1)) == 0
+    on_road = fit.sum_rows(np.where(np.isnan(fit.place).any(axis=1), 1.0, 0.0)) == 0
     fit, priors = fit.select(on_road), priors.select(on_road)
     fit = _steps(fit, priors, problem, settings.first_steps)
     cost = _costs(fit, priors, problem)

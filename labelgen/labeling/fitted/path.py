@@ -24,8 +24,8 @@ def back_to_path(fit: BodyFit, times_s: Array, settings: BodyFitSettings) -> Bod
     A mask that lacks a side fits a body that stands too far to the other side as well.
     """
     expected, precision = expected_path(fit, times_s, settings)
-    strayed = precision[:, :2] * (expected[:, :2] - fit.place) ** 2 > settings.path_robust**2
-    return replace(fit, place=np.where(strayed.any(axis=1)[:, None], expected[:, :2], fit.place))
+    strayed = (precision[:, :2] * (expected[:, :2] - fit.place) ** 2).max(axis=1) > settings.path_robust**2
+    return replace(fit, place=np.where(np.asarray(strayed)[:, None], expected[:, :2], fit.place))
 
 
 def expected_path(fit: BodyFit, times_s: Array, settings: BodyFitSettings) -> tuple[Array, Array]:
