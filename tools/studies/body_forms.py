@@ -141,7 +141,8 @@ def _unit_body(kind: str, by: Variation, seed: int) -> Array:
     rng = np.random.default_rng([seed, len(kind), 7])
     shape = sample_shape(kind, rng)
     if kind == "motorcycle":
-        return _unit(np.asarray(motorcycle_mesh(shape).vertices, dtype=np.float64))
+        # Its handlebar is its width.
+        return _unit(np.asarray(motorcycle_mesh(shape).vertices, dtype=np.float64), lower=1.0)
     draw = {name: rng.uniform(*bounds) for name, bounds in vars(by).items()}
     roof_rear, window = shape.roof_rear, shape.rear_window
     last = shape.length if shape.cargo is None else window[0] + 0.13
@@ -169,11 +170,11 @@ def _unit_body(kind: str, by: Variation, seed: int) -> Array:
     return _unit(points)
 
 
-def _unit(points: Array) -> Array:
+def _unit(points: Array, lower: float = _LOWER) -> Array:
     """Scale points (V, 3) m to x and y in [-1/2, 1/2], z in [0, 1]; what is wider than the lower body is cut off."""
     points = points - [(points[:, 0].min() + points[:, 0].max()) / 2, 0.0, points[:, 2].min()]
     height = points[:, 2].max()
-    width = 2 * np.abs(points[points[:, 2] < _LOWER * height, 1]).max()
+    width = 2 * np.abs(points[points[:, 2] <= lower * height, 1]).max()
     unit = points / [np.ptp(points[:, 0]), width, height]
     unit[:, 1] = unit[:, 1].clip(-0.5, 0.5)
     return np.asarray(unit)
