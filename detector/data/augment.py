@@ -102,11 +102,22 @@ class TrainingTarget:
     ignored_xyxy: Array = field(default_factory=lambda: np.empty((0, 4)))
 
     @classmethod
-    def from_labels(cls, labels: Labels, ignored: IgnoredBoxes | None = None) -> TrainingTarget:
-        """Take over boxes and c_c; c_c is not known for flat labels, and for truncated ones, whose box is cut."""
+    def from_labels(
+        cls, labels: Labels, ignored: IgnoredBoxes | None = None, max_sigma: float | None = None
+    ) -> TrainingTarget:
+        """Take over boxes and c_c; c_c is not known for flat labels, and for truncated ones, whose box is cut.
+
+        Args:
+            labels: of one image.
+            ignored: boxes of its vehicles without a label.
+            max_sigma: labels whose stated standard deviation of c_c is larger are ignored; None to keep all. Labels
+                that state none are kept.
+        """
         known = ~labels.has(Flag.TRUNCATED) & ~labels.has(Flag.FLAT)
-        ignored = IgnoredBoxes.empty() if ignored is None else ignored
-        return cls(labels.boxes_xyxy, np.where(known, labels.cc, 0.0), known, ignored.boxes_xyxy)
+        ignored_xyxy = IgnoredBoxes.empty().boxes_xyxy if ignored is None else ignored.boxes_xyxy
+        unsure = np.zeros(len(labels), dtype=np.bool_) if max_sigma is None else labels.sigmas[:, 4] > max_sigma
+        boxes, cc = labels.boxes_xyxy, np.where(known, labels.cc, 0.0)
+        return cls(boxes[~unsure], cc[~unsure], known[~unsure], np.concatenate([ignored_xyxy, boxes[unsure]]))
 
     def moved(self, move: AxisAlignedAffine) -> TrainingTarget:
         """Map all boxes to the new image."""

@@ -220,6 +220,7 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         seed: of order and augmentation.
         ignore_boxes: whether the shards' ignored boxes, and labels that the border cuts off, are left out of the loss;
             else they are background.
+        max_sigma: labels whose stated standard deviation of c_c is larger are ignored; None to keep all.
     """
 
     def __init__(
@@ -231,9 +232,10 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         seed: int,
         *,
         ignore_boxes: bool = True,
+        max_sigma: float | None = None,
     ) -> None:
         self._sources, self._size_wh, self._seed = list(sources), size_wh, seed
-        self._whole, self._crops, self._ignore_boxes = whole, crops, ignore_boxes
+        self._whole, self._crops, self._ignore_boxes, self._max_sigma = whole, crops, ignore_boxes, max_sigma
         self._pass_length = sum(len(source.shards) for source in sources)
         weights = np.array([source.weight for source in sources])
         ends = np.round(np.cumsum(weights / weights.sum()) * self._pass_length).astype(np.int64)
@@ -306,7 +308,8 @@ class TrainingSamples(Dataset[tuple[Tensor, dict[str, Tensor], int]]):
         """
         ranges = self._crops if crops else self._whole
         move = sample_affine(rng, ranges, (image.shape[1], image.shape[0]), self._size_wh, fill=crops)
-        moved = clip_to_image(TrainingTarget.from_labels(labels, ignored).moved(move), self._size_wh)
+        target = TrainingTarget.from_labels(labels, ignored, self._max_sigma)
+        moved = clip_to_image(target.moved(move), self._size_wh)
         if not self._ignore_boxes:
             moved = replace(moved, ignored_xyxy=np.empty((0, 4)))
         out = move.warp_image(image, self._size_wh)

@@ -43,6 +43,7 @@ class Preset:
         warmup_steps: steps of the warm-up of "cosine", at most half of all steps.
         patience: epochs without progress on the validation shards after which training stops; 0 for never.
         ignore_boxes: whether vehicles without a label are left out of the loss, see `TrainingSamples`.
+        max_sigma: labels whose stated standard deviation of c_c is larger are left out of the loss; None to keep all.
         half: train in mixed precision (bfloat16) where the device gains from it.
         whole: augmentation of whole pictures.
         crops: augmentation of BoxCars116k's crops.
@@ -67,6 +68,7 @@ class Preset:
     warmup_steps: int = 0
     patience: int = 0
     ignore_boxes: bool = True
+    max_sigma: float | None = None
     half: bool = False
     whole: AugmentationRanges = _PAPER_WHOLE
     crops: AugmentationRanges = _PAPER_CROPS

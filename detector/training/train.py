@@ -142,7 +142,13 @@ def _train(
         loaded = load_pretrained(model, read_checkpoint(weights, f"weights {weights}"), f"weights {weights}")
         logger.info("starting from %s: weights of a %s", weights, loaded)
     samples = TrainingSamples(
-        sources, metadata.size_wh, preset.whole, preset.crops, seed, ignore_boxes=preset.ignore_boxes
+        sources,
+        metadata.size_wh,
+        preset.whole,
+        preset.crops,
+        seed,
+        ignore_boxes=preset.ignore_boxes,
+        max_sigma=preset.max_sigma,
     )
     return _fit(model, preset, metadata, samples, validation_samples, steps, out, last if resume else None, machine)
 
@@ -171,6 +177,7 @@ def _plan(preset: Preset, sources: Sequence[ShardSource], seed: int) -> tuple[Mo
         "seed": seed, "batch": preset.batch, "epochs": preset.epochs, "steps_per_epoch": steps,
         "optimiser": preset.optimiser, "lr": preset.lr, "clip_norm": preset.clip_norm, "schedule": preset.schedule,
         "whole": asdict(preset.whole), "crops": asdict(preset.crops), "ignore_boxes": preset.ignore_boxes,
+        **({} if preset.max_sigma is None else {"max_sigma": preset.max_sigma}),
     }  # fmt: skip
     metadata = ModelMetadata(preset.name, pair, size_wh, config, max(heights), label_provenance(sources), training)
     if metadata.region is Region.NONE and config.cc_weight:

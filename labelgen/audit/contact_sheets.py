@@ -130,7 +130,9 @@ def _label_tile(sample: Sample, label: int, original: NDArray[np.uint8] | None, 
     draw_label(drawn, tile_box, cc, tile_vpu, tile_vertices)
     flags = " ".join(text for flag, text in _FLAG_LETTERS.items() if labels.flags[label] & flag.value)
     kind = VehicleClass(int(labels.class_ids[label])).name.lower()
-    draw_text(drawn, f"{title}  {kind} {labels.scores[label]:.2f}  c_c {cc:.3f}", (5, 14))
+    sigma = float(labels.sigmas[label, 4])
+    stated = f" +- {sigma:.3f}" if np.isfinite(sigma) else ""
+    draw_text(drawn, f"{title}  {kind} {labels.scores[label]:.2f}  c_c {cc:.3f}{stated}", (5, 14))
     draw_text(drawn, flags, (5, _TILE - 6))
     return np.concatenate([plain, drawn, _original_tile(sample, label, original)], axis=1)
 

@@ -54,6 +54,15 @@ def train(
             "--ignore-boxes/--no-ignore-boxes", help="Vehicles without a label count neither way, or: as road."
         ),
     ] = True,
+    max_sigma: Annotated[
+        float | None,
+        typer.Option(
+            "--max-sigma",
+            min=0.0,
+            metavar="C_C",
+            help="Leave out labels whose stated standard deviation of c_c is larger.",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights, order and augmentation.")] = 0,
     backbone: Annotated[
         str | None, typer.Option("--backbone", metavar="NAME", help="torchvision network instead of the preset's.")
@@ -88,7 +97,7 @@ def train(
     named = weights in ("imagenet", "none")
     settings = find_preset(
         preset, epochs=epochs, steps_per_epoch=steps_per_epoch, batch=batch, lr=lr, patience=patience,
-        weights=weights if named else None, ignore_boxes=ignore_boxes,
+        weights=weights if named else None, ignore_boxes=ignore_boxes, max_sigma=max_sigma,
     )  # fmt: skip
     if backbone is not None:
         settings = replace(settings, model=replace(settings.model, backbone=backbone))
