@@ -71,7 +71,7 @@ def change_value(rng: Rng, data: Any, strange: Callable[[Rng], Any] = strange_va
     if kind == 1 and isinstance(holder[key], list) and holder[key]:
         holder[key] = holder[key] * int(rng.integers(2, 50))
         return f"{[*way, key]} repeated"
-    if kind == 2 and isinstance(holder[key], int | float):
+    if kind == 2 and isinstance(holder[key], int | float) and abs(holder[key]) < 1e300:
         holder[key] = holder[key] * float(10.0 ** rng.integers(-12, 40))
         return f"{[*way, key]} = {holder[key]}"
     holder[key] = strange(rng)
