@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import EarlyStopping, LearningRateMonitor, ModelCheckpoint, TQDMProgressBar
@@ -78,7 +77,7 @@ class PredictionPictures(Callback):
         shown = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, _PICTURES).astype(int))]
         sheet = tile([draw_sample(sample, detections) for sample, detections in shown])
         self._folder.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(self._folder / f"epoch-{trainer.current_epoch:03d}.jpg"), sheet)
+        write_image(self._folder / f"epoch-{trainer.current_epoch:03d}.jpg", sheet)
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.experiment.add_image("detections", sheet[:, :, ::-1], trainer.global_step, dataformats="HWC")
