@@ -43,8 +43,12 @@ _SIDE, _STRIDE, _TORCHVISION_SIDES = 640, 32, (800, 1333)
 _BATCH_CPU, _BATCH_GPU = 4, 8
 # Box suppression leaves what masks decide, and at most so many vehicles in a frame.
 _MAX_BOX_IOU, _MAX_VEHICLES = 0.7, 1000
-# A box that ends within this distance of a tile's inner border is cut by it, px of the picture.
-_CUT_PX = 3.0
+# A box that ends within this distance of a tile's inner border is cut by it: px of the picture, or a share of its side.
+_CUT_PX, _CUT_SHARE = 4.0, 0.1
+# One that ends within this share of its side may be, and comes after all others.
+_DOUBTFUL_SHARE = 0.25
+# What twice the enlargement is worth, as a score: masks of tiles are finer.
+_FINER_BONUS = 0.1
 # A vehicle up to this share of the picture is seen better in a tile than in the whole frame.
 _MAX_FINE_SHARE = 0.4
 
@@ -216,16 +220,17 @@ class OnnxMasks:
 
     def _vehicles(self, pictures: list[tuple[Placement, Candidates]], frame_wh: tuple[int, int]) -> InstanceMasks:
         """Return the vehicles of one frame, of all its pictures together."""
-        boxes, levels, scores, places = [], [], [], []
+        boxes, ranks, places = [], [], []
         for number, (placement, candidates) in enumerate(pictures):
-            usable = np.flatnonzero(~_cut_by_tile(candidates, placement, frame_wh))
+            usable = np.flatnonzero(~_cut_by_tile(candidates, placement, frame_wh, _CUT_PX, _CUT_SHARE))
             sides = (candidates.boxes_xyxy[:, 2:] - candidates.boxes_xyxy[:, :2]).max(axis=1, initial=0)[usable]
             is_fine = (sides <= _MAX_FINE_SHARE * min(placement.picture_wh)) | (number == 0)
+            doubtful = _cut_by_tile(candidates, placement, frame_wh, _CUT_PX, _DOUBTFUL_SHARE)[usable]
+            bonus = _FINER_BONUS * float(np.log2(placement.scale.min() / pictures[0][0].scale.min()))
             boxes.append(placement.boxes_to_frame(candidates.boxes_xyxy[usable]))
-            levels.append(np.where(is_fine, placement.scale.min(), 0))
-            scores.append(candidates.scores[usable])
+            ranks.append(candidates.scores[usable] + np.where(is_fine, bonus, 0) - doubtful)
             places += [(number, i) for i in usable.tolist()]
-        order = np.lexsort((-np.concatenate(scores), -np.concatenate(levels)))
+        order = np.argsort(-np.concatenate(ranks), kind="stable")
         kept = suppress_boxes(np.concatenate(boxes), order, _MAX_BOX_IOU, _MAX_VEHICLES).tolist()
         crops: dict[int, Crop] = {}
         for number, (placement, candidates) in enumerate(pictures):
@@ -245,11 +250,22 @@ class OnnxMasks:
         )
 
 
-def _cut_by_tile(candidates: Candidates, placement: Placement, frame_wh: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return (N,) which candidates end at a border of the window that is none of the frame."""
+def _cut_by_tile(
+    candidates: Candidates, placement: Placement, frame_wh: tuple[int, int], least_px: float, least_share: float
+) -> NDArray[np.bool_]:
+    """Return (N,) which candidates end at a border of the window that is none of the frame.
+
+    Args:
+        candidates: of the picture.
+        placement: of the picture in the frame.
+        frame_wh: size of the frame, px.
+        least_px: distance from the border up to which a box ends at it, px of the picture.
+        least_share: the same as a share of the box's side.
+    """
     x, y, width, height = placement.inner
     window = np.array(placement.window)
     is_inner = np.concatenate([window[:2] > 0, window[2:] < np.array(frame_wh)])
     boxes = candidates.boxes_xyxy
     inside = np.concatenate([boxes[:, :2] - [x, y], [x + width, y + height] - boxes[:, 2:]], axis=1)
-    return np.asarray(((inside < _CUT_PX) & is_inner).any(axis=1))
+    sides = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+    return np.asarray(((inside < np.maximum(least_px, least_share * sides)) & is_inner).any(axis=1))
