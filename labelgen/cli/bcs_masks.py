@@ -60,6 +60,12 @@ def bcs_masks(
     scale_masks: ScaleMasksOption = False,
     classes: ClassesOption = None,
     tiles: TilesOption = None,
+    keep_masks: Annotated[
+        bool,
+        typer.Option(
+            "--keep-masks", help="Write the masks beside the shards, as COCO JSON that --masks coco:FILE reads again."
+        ),
+    ] = False,
     rule: Annotated[
         Rule | None,
         typer.Option(
@@ -163,6 +169,7 @@ def bcs_masks(
             limit=limit,
             per_shard=per_shard,
             codec=ImageCodec(quality or None),
+            keep_masks=keep_masks,
         )
         summary = run_job(job, out, overwrite=overwrite, workers=workers)
     names = ", ".join(scene.name for scene in scenes)

@@ -22,6 +22,7 @@ from typing import IO, Any
 from labelgen.atomic_files import TEMPORARY_PREFIX, as_output_error, remove_temporary_files, sync_folder, write_json
 from labelgen.errors import DataError, OutputError
 from labelgen.interruption import uninterrupted
+from labelgen.jobs.kept_masks import KEPT_MASKS, KEPT_PARTS, kept_masks_name
 from labelgen.json_file import parse_json
 from labelgen.output_lock import take_lock
 from labelgen.shards.index import INDEX_NAME, REJECTS_NAME, file_hash, read_index
@@ -255,7 +256,7 @@ def _is_file(path: Path) -> bool:
 def _is_own(path: Path) -> bool:
     """Tell whether a path in a staging folder is a file as jobs write them."""
     named = path.name in (_JOB_NAME, _LOCK_NAME, INDEX_NAME, REJECTS_NAME)
-    return _is_file(path) and (named or path.match(_SHARDS) or path.match(_TEMPORARY))
+    return _is_file(path) and (named or any(map(path.match, (_SHARDS, KEPT_MASKS, KEPT_PARTS, _TEMPORARY))))
 
 
 def _own_files(folder: Path) -> list[Path]:
@@ -279,8 +280,21 @@ def _publish(staged: Path, out: Path, index: Mapping[str, Any]) -> None:
         for old in out.glob(_SHARDS):
             if old.name not in names or (staged / old.name).exists():
                 old.unlink()
-        for name in (*names, REJECTS_NAME, INDEX_NAME):
+        kept = _kept_masks(index)
+        for old in out.glob(KEPT_MASKS):
+            if old.name not in kept or (staged / old.name).exists():
+                old.unlink()
+        for name in (*names, *kept, REJECTS_NAME, INDEX_NAME):
             if (staged / name).exists():
                 os.replace(staged / name, out / name)
         sync_folder(out)
     _remove_own(staged)
+
+
+def _kept_masks(index: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files of kept masks that belong to the shards of an index."""
+    job = index.get("job")
+    settings = job.get("settings") if isinstance(job, Mapping) else None
+    if not (isinstance(settings, Mapping) and settings.get("keep_masks")):
+        return []
+    return sorted({kept_masks_name(str(entry["name"]).rpartition("-")[0]) for entry in index["shards"]})

@@ -22,6 +22,7 @@ from labelgen.errors import CalibrationError, LabelgenError, NoVehiclesError
 from labelgen.geometry.camera import Camera
 from labelgen.geometry.rectification import Rectification
 from labelgen.jobs.frame_labels import FrameLabeler, LabelledFrame, PassageLabeler, SingleFrameLabeler
+from labelgen.jobs.kept_masks import KeptMasks
 from labelgen.jobs.runner import Job, Progress, finished_part
 from labelgen.labeling.screening import LABEL_LIMITS, LabelLimits
 from labelgen.labels import Sample
@@ -121,6 +122,7 @@ def video_job(
     limit: int | None = None,
     per_shard: int = 500,
     codec: ImageCodec | None = None,
+    keep_masks: bool = False,
 ) -> Job:
     """Plan the labels of videos.
 
@@ -137,6 +139,7 @@ def video_job(
         limit: largest number of frames to label in each video; None for all.
         per_shard: number of labelled frames in a shard, with or without vehicles.
         codec: encoding of the images; JPEG of quality 95 by default.
+        keep_masks: whether the masks are written beside the shards, see `labelgen.jobs.kept_masks`.
 
     Raises:
         LabelgenError: an input is given twice, or a calibration, road mask or mask source is not usable.
@@ -161,7 +164,9 @@ def video_job(
         scene = files.open()
         choice = FrameChoice(every, keyframes, limit)
         size = None if keyframes else _taken(scene.frames.frame_count, every, limit)
-        unit = VideoUnit(files, pair, size_wh, region, settings, choice, per_shard, codec, common, prefix, size)
+        unit = VideoUnit(
+            files, pair, size_wh, region, settings, choice, per_shard, codec, common, prefix, size, keep_masks
+        )
         for note in scene.frames.notes:
             _log.info("%s: %s", files.name, note)
         unit.rectification(scene)
@@ -184,6 +189,7 @@ def video_job(
         "limit": limit,
         "per_shard": per_shard,
         **common,
+        **({"keep_masks": True} if keep_masks else {}),
     }
     return Job("bcs-masks", job_settings, inputs, units, originals)
 
@@ -279,6 +285,7 @@ class VideoUnit:
         settings: what decides the labels, for the shards.
         prefix: start of the shards' file names.
         size: expected number of labelled frames, where known.
+        keep_masks: whether the masks are written beside the shards.
     """
 
     files: SceneFiles
@@ -292,6 +299,7 @@ class VideoUnit:
     settings: Mapping[str, Any]
     prefix: str
     size: int | None
+    keep_masks: bool = False
 
     def whereabouts(self) -> dict[str, str | None]:
         """Return where the originals lie on this machine."""
@@ -352,6 +360,7 @@ class VideoUnit:
     def shards(self, out: Path) -> list[Path] | None:
         """See `Unit`."""
         readers = self._finished_shards(out)
+        # The kept masks are complete before the last shard is.
         if readers and readers[-1].attributes["last"]:
             return [reader.path for reader in readers]
         return None
@@ -369,7 +378,8 @@ class VideoUnit:
         # Passages go on over the border of two shards.
         asked = max(0, first - self._part_frames) if self.masks.rule is Rule.FITTED else first
         choice = replace(self.choice, wanted=lambda number: number >= asked)
-        with ExitStack() as stack:
+        with ExitStack() as outer, ExitStack() as stack:
+            kept = outer.enter_context(KeptMasks(out, self.prefix, self.files.name)) if self.keep_masks else None
             writer = stack.enter_context(self._writer(out, finished))
 
             def write(labelled: Iterable[LabelledFrame]) -> None:
@@ -385,8 +395,12 @@ class VideoUnit:
                 for frame, masks in coming:
                     if frame.number >= first:
                         progress(1)
+                        if kept is not None:
+                            kept.add(self._part_of(frame.number), frame, masks)
                     write(labeler.add(frame, masks))
             write(labeler.finish())
+            if kept is not None:
+                kept.finish()
             writer.last = True
             lost = _no_masks(source)
             for problem in [

@@ -116,7 +116,7 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(
     labelgen_process, clip: Path, tmp_path: Path, masks: str
 ) -> None:
     spec = masks if masks == "background" else f"coco:{clip.parent / 'masks.json'}"
-    options = [clip, "--masks", spec, "--every", 1, "--per-shard", 6]
+    options = [clip, "--masks", spec, "--every", 1, "--per-shard", 6, "--keep-masks"]
     start = time.perf_counter()
     _run(labelgen_process, tmp_path / "whole", *options)
     whole = time.perf_counter() - start
@@ -136,6 +136,8 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(
     if not (out / "dataset.json").exists():
         _run(labelgen_process, out, *options)
     assert _hashes(out) == _hashes(tmp_path / "whole")
+    kept = "shard.masks.json"
+    assert (out / kept).read_bytes() == (tmp_path / "whole" / kept).read_bytes()
 
 
 @pytest.mark.slow
