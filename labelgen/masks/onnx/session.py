@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labelgen.before_torch import device_parts
 from labelgen.errors import DataError, LabelgenError
-from labelgen.torch_device import choose_device
 
 __all__ = ["InputLayout", "NetworkSession"]
 
@@ -32,8 +32,12 @@ _PROVIDERS = (
     "DmlExecutionProvider",
     "CPUExecutionProvider",
 )
-_OF_DEVICE = {"cuda": ("CUDAExecutionProvider", "ROCMExecutionProvider"), "mps": ("CoreMLExecutionProvider",)}
 _CPU = "CPUExecutionProvider"
+_OF_DEVICE = {
+    "cuda": ("CUDAExecutionProvider", "ROCMExecutionProvider"),
+    "mps": ("CoreMLExecutionProvider",),
+    "gpu": tuple(name for name in _PROVIDERS if name != _CPU),
+}
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ class NetworkSession:
 
     Args:
         path: the file.
-        device: "cpu", "cuda:1" and so on, see `labelgen.torch_device.choose_device`; None for the best there is.
+        device: "cpu", "cuda:1" and so on, see `labelgen.before_torch.device_parts`; None for the best there is.
 
     Attributes:
         layout: of its only input.
@@ -165,14 +169,14 @@ def _threads() -> int:
 
 def _providers(runtime: Any, device: str | None) -> list[Any]:
     available = runtime.get_available_providers()
-    if device is None or device.strip().lower() == "auto":
+    kind, number = device_parts(device)
+    if kind == "auto":
         return [name for name in _PROVIDERS if name in available]
-    chosen = choose_device(device)
-    if chosen.type == "cpu":
+    if kind == "cpu":
         return [_CPU]
-    for name in _OF_DEVICE[chosen.type]:
+    for name in _OF_DEVICE[kind]:
         if name in available:
-            return [(name, {"device_id": chosen.index}) if chosen.index is not None else name, _CPU]
+            return [(name, {"device_id": int(number[1:])}) if number else name, _CPU]
     raise LabelgenError(
         f"device {device}: onnxruntime as installed here cannot use it (it has {', '.join(available)}); install "
         "onnxruntime-gpu, or use cpu",

@@ -59,7 +59,7 @@ class OnnxMasks:
     Args:
         path: the file.
         score_threshold: masks with a lower score are left out.
-        device: see `labelgen.torch_device.choose_device`; None for the best that onnxruntime has.
+        device: see `labelgen.before_torch.device_parts`; None for the best that onnxruntime has.
         options: classes and tiles.
         camera: of the frames, for tiles "auto".
         road_mask: (H, W), not 0 on the road, for tiles "auto".

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 from onnx_graphs import (
     COCO_NAMES,
     Found,
+    mask_grid,
     rf_detr,
     torchvision_mask_rcnn,
     write_network,
@@ -181,6 +184,32 @@ def test_boxes_that_are_none_are_counted(tmp_path: Path) -> None:
     check_vehicles(source.masks([FRAME])[0])
     assert len(source.problems) == 1
     assert "2 detections skipped: without a box" in source.problems[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the greatest memory is counted in KiB on Linux")
+def test_300_vehicles_in_a_4k_frame_need_less_than_2_gb(tmp_path: Path) -> None:
+    found = [Found((x, y, x + 24, y + 16), 2, 0.9) for y in range(8, 600, 30) for x in range(4, 600, 40)]
+    assert len(found) == 300
+    count = len(found)
+    boxes = np.array([one.box_xyxy for one in found]) / 640
+    outputs = {
+        "dets": np.concatenate([(boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]], axis=1),
+        "labels": np.where(np.arange(91) == 3, 3.0, -9.0) * np.ones((count, 1)),
+        "masks": np.stack([mask_grid(one.box_xyxy, (640, 640), (160, 160)) for one in found]),
+    }
+    path = write_network(tmp_path / "net.onnx", outputs, [1, 3, 640, 640])
+    program = (
+        "import resource, numpy, sys; from labelgen.masks import create_mask_source\n"
+        "source = create_mask_source(f'onnx:{sys.argv[1]}', device='cpu')\n"
+        "frames = [numpy.zeros((2160, 3840, 3), numpy.uint8)] * source.batch_size\n"
+        "masks = source.masks(frames)\n"
+        "print(len(masks[-1]), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
+    vehicles, kib = map(int, done.stdout.split())
+    assert vehicles == 300
+    assert kib < 2 << 20, f"{kib >> 10} MiB"
 
 
 def test_options_are_checked(tmp_path: Path) -> None:
