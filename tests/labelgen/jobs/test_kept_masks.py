@@ -18,7 +18,18 @@ from labelgen.shards import ShardDataset
 
 def test_kept_masks_give_the_same_labels_again(labelgen, tmp_path: Path) -> None:
     clip = write_clip(tmp_path, 40)
-    given = ("bcs-masks", clip, "--masks", f"coco:{tmp_path / 'masks.json'}", "--every", 5, "--per-shard", 3)
+    given = (
+        "bcs-masks",
+        clip,
+        "--masks",
+        f"coco:{tmp_path / 'masks.json'}",
+        "--every",
+        5,
+        "--per-shard",
+        3,
+        "--rule",
+        "wider",
+    )
     for name, options in (("plain", ()), ("kept", ("--keep-masks",))):
         done = labelgen(*given, "--out", tmp_path / name, *options)
         assert done.returncode == 0, done.stderr
@@ -30,7 +41,7 @@ def test_kept_masks_give_the_same_labels_again(labelgen, tmp_path: Path) -> None
         "rejects.jsonl",
         "shard.masks.json",
     ]
-    again = ("bcs-masks", clip, "--masks", f"coco:{tmp_path / 'kept' / 'shard.masks.json'}", "--every", 5)
+    again = (*given[:3], f"coco:{tmp_path / 'kept' / 'shard.masks.json'}", *given[4:])
     assert labelgen(*again, "--out", tmp_path / "again").returncode == 0
     first, second = (list(ShardDataset([tmp_path / name])) for name in ("kept", "again"))
     assert [sample.frame for sample in first] == [sample.frame for sample in second]
