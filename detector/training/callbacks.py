@@ -13,6 +13,7 @@ from lightning.pytorch.loggers import CSVLogger, Logger, TensorBoardLogger
 from detector.training.config import MachineConfig, Preset
 from detector.training.lightning_module import VALIDATION_SCORE, DetectorModule
 from detector.visualize import draw_sample, tile
+from labelgen.media.image_file import write_image
 
 __all__ = ["PredictionPictures", "callbacks", "loggers"]
 
