@@ -9,8 +9,9 @@
 One line per frame, frames without detections included. `boxes` lie in the rectified picture, or in the frame where
 `rectification` is null. `cc` is there for variants that decode it. `vertices` (eight points each, frame px) is there
 for all variants with 3D boxes; a reader needs it only for `maskrcnn3d`, `dubska` and `sochor`. `scores` and `classes`
-may be left out. `time_s` may be null or left out where `fps` is given. `outlines` is the value of a
-`detector.speed.contact_point.MaskExtent` where boxes end with the outline of a mask. It is null or left out where
+may be left out. `time_s` may be null or left out where `fps` is given. For `fitted3d` from masks each line has
+`outlines`, for each box the corners of the outline's convex hull, frame px. `outlines` of the first line is the value
+of a `detector.speed.contact_point.MaskExtent` where boxes end with the outline of a mask. It is null or left out where
 boxes end at the edge of a 3D box on the road.
 """
 
@@ -19,7 +20,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from detector.speed.variant import Variant
 from detector.speed.view import MeasurementView
 from labelgen.errors import DataError, LabelgenError
 from labelgen.geometry import Camera, Pair, Rectification
+from labelgen.geometry.homography import Array
 from labelgen.json_file import parse_json
 from labelgen.printable import printable
 from labelgen.staged_output import is_staged
@@ -127,6 +129,22 @@ class DetectionFile:
             raise DataError(f"detections {path}: variant {variant} and its rectification do not go together")
         return cls(path, variant, frame_wh, fps, rectification, mask_extent)
 
+    def fitted(self) -> DetectionFile:
+        """Return the same detections, measured by the variant `fitted3d`.
+
+        Raises:
+            LabelgenError: they are no 3D boxes of a detector, nor outlines.
+        """
+        if self.variant is Variant.FITTED3D:
+            return self
+        if self.rectification is None or not self.variant.is_3d or self.mask_extent is not None:
+            raise LabelgenError(
+                f"variant fitted3d: it needs a detector's boxes with c_c, or masks themselves; {self.path} has boxes of "
+                f"{self.variant}; leave out the variant",
+                parameter="variant",
+            )
+        return replace(self, variant=Variant.FITTED3D)
+
     def view(self, camera: Camera) -> MeasurementView:
         """Return the view in which the boxes lie.
 
@@ -190,14 +208,14 @@ class DetectionFile:
             arrays = {key: _array(line, key, count) for key in ("boxes", "cc", "scores", "classes", "vertices")}
             detections, _ = view.place(
                 frame, float(time_s), arrays["boxes"], arrays["cc"], arrays["scores"], arrays["classes"],
-                arrays["vertices"],
+                arrays["vertices"], _outlines(view, line, count),
             )  # fmt: skip
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, LabelgenError) as err:
             raise DataError(f"detections {self.path}, line {number}: damaged ({_reason(err)})") from None
         return detections
 
 
-_MAX_SIDE_PX, _MAX_REASON = 65_536, 200
+_MAX_SIDE_PX, _MAX_REASON, _FEWEST_CORNERS = 65_536, 200, 3
 # No recording is longer: 30 years, at a thousand frames per second.
 _MAX_TIME_S, _MAX_FRAME = 1e9, 10**12
 _SHAPES: dict[str, tuple[int, ...]] = {"boxes": (4,), "cc": (), "scores": (), "classes": (), "vertices": (8, 2)}
@@ -216,6 +234,21 @@ def _array(line: dict[str, Any], key: str, count: int) -> Any:
     if array.shape != expected and not (array.size == 0 and count == 0):
         raise ValueError(f"{key}: expected shape {expected}, got {array.shape}")
     return array.reshape(expected)
+
+
+def _outlines(view: MeasurementView, line: dict[str, Any], count: int) -> list[Array] | None:
+    """Return the outlines that bodies are laid over; None where they are those of the 3D boxes."""
+    if view.variant is not Variant.FITTED3D or view.rectification is not None:
+        return None
+    outlines = [np.array(outline, dtype=np.float64) for outline in line["outlines"]] if count else []
+    if len(outlines) != count:
+        raise ValueError(f"outlines: expected {count}, got {len(outlines)}")
+    for outline in outlines:
+        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < _FEWEST_CORNERS:
+            raise ValueError(f"outlines: expected points as x and y, got shape {outline.shape}")
+        if not (abs(outline) <= _MAX_SIDE_PX).all():
+            raise ValueError("outlines: a point is far outside the frame")
+    return outlines
 
 
 def _parse(path: Path, number: int, text: str) -> dict[str, Any]:

@@ -29,6 +29,7 @@ class Detections:
         front_edges_px: (N, 2, 2) frame px, both ends of the bottom front edge.
         contact_points_px: (N, 2) frame px, the measured points: middles of the bottom front edges, on the road.
         contact_visible: (N,) False where the lower border of the view cuts off the contact with the road.
+        outlines_px: for `fitted3d`: N arrays (K, 2) frame px, points whose convex hull is the outline; else empty.
     """
 
     frame: int
@@ -41,6 +42,7 @@ class Detections:
     front_edges_px: Array
     contact_points_px: Array
     contact_visible: NDArray[np.bool_]
+    outlines_px: tuple[Array, ...] = ()
 
     def __len__(self) -> int:
         return len(self.boxes_xyxy)
@@ -58,6 +60,8 @@ class Detections:
             line["cc"] = _rounded(self.cc, 7)
         if np.isfinite(self.vertices_px).any():
             line["vertices"] = _rounded(self.vertices_px, 4)
+        if self.outlines_px:
+            line["outlines"] = [_rounded(outline, 2) for outline in self.outlines_px]
         return line
 
 

@@ -14,8 +14,10 @@ from detector.speed.detection_file import DetectionFile
 from detector.speed.detection_source import DetectionSource
 from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskDetections, MaskPlacer
+from detector.speed.meter import SpeedMeter
 from detector.speed.model_detections import DetectorDetections, model_view
 from detector.speed.pipeline import FrameDetections, detect, with_frames
+from detector.speed.track_fit import TrackFitter
 from detector.speed.variant import Variant
 from detector.speed.view import MeasurementView
 from labelgen.before_torch import check_device, check_torch_file
@@ -87,8 +89,14 @@ class MaskSpeedSettings:
             check_torch_file(self.weights, f"weights {self.weights}", parameter="weights")
         if not self.rule.is_of_tangents:
             raise LabelgenError(
-                f"rule {self.rule}: it needs whole passages before a speed is measured; choose another",
+                f"rule {self.rule}: it needs whole passages; choose another, or measure them with variant fitted3d",
                 parameter="rule",
+            )
+        if self.variant is Variant.FITTED3D and not self.correct_contact_point:
+            raise LabelgenError(
+                "variant fitted3d: its measured point is that of a body, where the outline ends does not matter; leave "
+                "the contact point as it is",
+                parameter="correct_contact_point",
             )
         if self.variant is Variant.DUBSKA and not self.from_background:
             raise LabelgenError(
@@ -149,6 +157,11 @@ class SpeedJob:
         frames = [*self.frames.notes, *self.frames.problems] if self.frames is not None else []
         source = self.source.problems if self.source is not None else []
         return [*self.notes, *frames, *source]
+
+    def meter(self) -> SpeedMeter:
+        """Return what measures the detections."""
+        fitter = TrackFitter(self.view) if self.view.variant is Variant.FITTED3D else None
+        return SpeedMeter(self.view.camera, fps=self.fps, lane_lines=self.lane_lines, fitter=fitter)
 
     @property
     def failure(self) -> Exception | None:

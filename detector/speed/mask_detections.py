@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from detector.speed.variant import Variant
 from detector.speed.view import MeasurementView
 from labelgen.errors import RectificationError
 from labelgen.geometry import Pair, Rectification, RoadMask, Rule, window_around
+from labelgen.geometry.homography import Array
+from labelgen.geometry.outline_label import mask_polygon
 from labelgen.labeling.from_masks import LabelLimits, label_masks
 from labelgen.labels import Labels
 from labelgen.masks import InstanceMasks, MaskSource, masked_frames
@@ -118,10 +120,16 @@ class MaskPlacer:
         index = np.array(numbers, dtype=np.int64)
         detections, valid = self.view.place(
             frame, time_s, boxes[index], None, masks.scores[index], masks.class_ids[index],
-            np.array(vertices).reshape(-1, 8, 2),
+            np.array(vertices).reshape(-1, 8, 2), self._outlines(masks, numbers),
         )  # fmt: skip
         self._count_invalid(valid)
         return detections
+
+    def _outlines(self, masks: InstanceMasks, numbers: Sequence[int]) -> list[Array] | None:
+        if self.view.variant is not Variant.FITTED3D:
+            return None
+        polygons = (mask_polygon(masks.crops[i], tuple(masks.origins[i].tolist())) for i in numbers)
+        return [polygon for polygon in polygons if polygon is not None]
 
 
 class MaskDetections:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.speed.detections import Detections, inside_larger_box
+from detector.speed.track_fit import TrackFitter
 from detector.speed.track_speed import SPEED_GAP, MeasuredVehicle, TrackPoints, measure_track, road_movement
 from detector.tracking.iou_tracker import DUPLICATE, IouTracker, TrackRules
 from detector.tracking.per_track import gap_speeds_kmh
@@ -95,6 +96,7 @@ class SpeedMeter:
         fps: frames per second, to count missing frames by their times; None takes it from the times.
         rules: thresholds; the published ones for this size of the frame where left out.
         lane_lines: (L, 3) homogeneous lines between the lanes, frame px.
+        fitter: for `fitted3d`: lays bodies over the outlines of the tracks.
 
     Attributes:
         dropped: number of tracks that were dropped, by reason.
@@ -111,13 +113,14 @@ class SpeedMeter:
         fps: float | None = None,
         rules: MeasureRules | None = None,
         lane_lines: Array | None = None,
+        fitter: TrackFitter | None = None,
     ) -> None:
         if camera.image_wh is None:
             raise CalibrationError(f"camera {camera.name or '(unnamed)'}: its frame's size is not known")
         self.rules = rules or MeasureRules.for_frame(camera.image_wh)
         self.dropped: Counter[str] = Counter()
         self.duplicates = 0
-        self._camera, self._fps, self._lane_lines = camera, fps, lane_lines
+        self._camera, self._fps, self._lane_lines, self._fitter = camera, fps, lane_lines, fitter
         self._tracker = IouTracker(self.rules.track)
         self._tracks: dict[int, TrackPoints] = {}
         self._tick, self._last_s = -1, math.nan
@@ -138,7 +141,11 @@ class SpeedMeter:
         ids = np.full(len(detections), DUPLICATE, dtype=np.int64)
         single = ~inside_larger_box(detections)
         ids[single], ended = self._tracker.update(self._tick, detections.boxes_xyxy[single], detections.scores[single])
-        counts = self._counts(detections)
+        counts = self._counts(detections.contact_points_px, detections.front_edges_px, detections.contact_visible)
+        if self._fitter is not None:
+            # Where points count is known when the bodies are.
+            places = self._camera.road_points(detections.contact_points_px, invalid="nan")
+            counts = np.asarray(np.isfinite(places).all(axis=1))
         for i, number in enumerate(ids.tolist()):
             if number == DUPLICATE:
                 self.duplicates += 1
@@ -152,6 +159,9 @@ class SpeedMeter:
                 points.vertices_px.append(detections.vertices_px[i])
                 points.class_ids.append(int(detections.class_ids[i]))
                 points.scores.append(float(detections.scores[i]))
+                points.contact_visible.append(bool(detections.contact_visible[i]))
+                if detections.outlines_px:
+                    points.outlines_px.append(detections.outlines_px[i])
         return ids, self._measure(ended)
 
     def _next_tick(self, detections: Detections) -> int:
@@ -192,17 +202,17 @@ class SpeedMeter:
         places = points.on_road_m(self._camera)
         return float(gap_speeds_kmh(places, np.array(points.times_s), np.array([0, len(places)]), SPEED_GAP)[0])
 
-    def _counts(self, detections: Detections) -> NDArray[np.bool_]:
+    def _counts(self, points_px: Array, edges_px: Array, visible: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return (N,) whether the point counts: its contact with the road is inside the frame and on the road."""
         low, high = self.rules.border_px, np.asarray(self._camera.image_wh) - self.rules.border_px
-        inside = ((detections.front_edges_px > low) & (detections.front_edges_px < high)).all(axis=(1, 2))
-        on_road = np.isfinite(self._camera.road_points(detections.contact_points_px, invalid="nan")).all(axis=1)
-        return np.asarray(inside & detections.contact_visible & on_road)
+        inside = ((edges_px > low) & (edges_px < high)).all(axis=(1, 2))
+        on_road = np.isfinite(self._camera.road_points(points_px, invalid="nan")).all(axis=1)
+        return np.asarray(inside & visible & on_road)
 
     def _measure(self, ended: list[int]) -> list[MeasuredVehicle]:
         vehicles = []
         for number in ended:
-            points = self._without_jumps(self._tracks.pop(number))
+            points = self._fitted(self._without_jumps(self._tracks.pop(number)))
             reason = self._drop_reason(points)
             if reason:
                 self.dropped[reason] += 1
@@ -210,6 +220,17 @@ class SpeedMeter:
                 self._measured += 1
                 vehicles.append(measure_track(number, points, self._camera, self._lane_lines))
         return vehicles
+
+    def _fitted(self, points: TrackPoints) -> TrackPoints:
+        """Return a track with the points of its body where bodies are fitted, those that count."""
+        if self._fitter is None or len(points.frames) < self.rules.min_points:
+            return points
+        points = self._fitter.fit(points)
+        if not points.frames:
+            return points
+        edges = np.array(points.vertices_px)[:, 4:6]
+        visible = np.ones(len(edges), dtype=np.bool_)
+        return points.take(np.flatnonzero(self._counts(np.array(points.contact_points_px), edges, visible)))
 
     def _without_jumps(self, points: TrackPoints) -> TrackPoints:
         """Return the longest part of a track between two jumps."""

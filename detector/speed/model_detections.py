@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ def model_view(
         camera: with a scale.
         road: mask of the road.
         variant: how the measured point is found. By default it is the variant with c_c if the model has c_c, for the
-            region of the frame that the model was trained on.
+            region of the frame that the model was trained on. `fitted3d` goes with any model that has c_c.
 
     Raises:
         LabelgenError: the variant needs images of another region, or c_c from a model without it.
@@ -43,7 +44,12 @@ def model_view(
     if metadata.region is Region.NONE:
         rectification = Rectification.of_region(metadata.region, camera, road, metadata.pair, metadata.size_wh)
         return MeasurementView(variant, camera, rectification)
-    return MeasurementView.create(variant, camera, road, metadata.pair, metadata.size_wh)
+    if variant is not Variant.FITTED3D:
+        return MeasurementView.create(variant, camera, road, metadata.pair, metadata.size_wh)
+    # Bodies are laid over the boxes that the 3D variant decodes.
+    decoding = Variant.PREVIOUS3D if metadata.region is Region.FRAME else Variant.TRANSFORM3D
+    view = MeasurementView.create(decoding, camera, road, metadata.pair, metadata.size_wh)
+    return replace(view, variant=variant)
 
 
 def model_variant(metadata: ModelMetadata, variant: Variant | None = None) -> Variant:
@@ -59,7 +65,8 @@ def model_variant(metadata: ModelMetadata, variant: Variant | None = None) -> Va
         Region.NONE: (Variant.ORIG2D, Variant.ORIG2D),
     }[region]
     variant = variant or (variant_3d if metadata.config.cc_weight else variant_2d)
-    if variant not in (variant_3d, variant_2d):
+    fitted = variant is Variant.FITTED3D and region is not Region.NONE
+    if not fitted and variant not in (variant_3d, variant_2d):
         kind = "frames as they are" if region is Region.NONE else f"rectifications of the {region}"
         possible = " or ".join(dict.fromkeys((variant_3d, variant_2d)))
         raise LabelgenError(

@@ -7,12 +7,14 @@ same speeds:
     1.2533 * 1.4826 * MAD / sqrt(number of gaps that share no points)
 
 It fits errors that vary slowly along the track, as those of boxes do. It is too large where the errors of the points
-are independent. The error of the calibration is not part of it.
+are independent. Points of fitted bodies (`fitted3d`) err together; what that adds follows from the fit's own standard
+deviations. The error of the calibration is not part of it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -76,7 +78,7 @@ class MeasuredVehicle:
 
 @dataclass
 class TrackPoints:
-    """The points of a track that count; all lists have one entry per point."""
+    """The points of a track that count; all lists have one entry per point, the last two only for `fitted3d`."""
 
     frames: list[int] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
@@ -84,10 +86,19 @@ class TrackPoints:
     vertices_px: list[Array] = field(default_factory=list)
     class_ids: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
+    contact_visible: list[bool] = field(default_factory=list)
+    outlines_px: list[Array] = field(default_factory=list)
+    along_sd_m: list[float] = field(default_factory=list)
 
     def part(self, start: int, stop: int) -> TrackPoints:
         """Return the points start to stop - 1."""
-        return TrackPoints(*(getattr(self, f.name)[start:stop] for f in fields(self)))
+        return self.take(range(start, stop))
+
+    def take(self, rows: Iterable[int]) -> TrackPoints:
+        """Return some of the points, by number."""
+        numbers = [int(row) for row in rows]
+        lists = (getattr(self, f.name) for f in fields(self))
+        return TrackPoints(*([values[n] for n in numbers] if values else [] for values in lists))
 
     def on_road_m(self, camera: Camera) -> Array:
         """Return (K, 2) metres, the contact points on the road."""
@@ -135,6 +146,15 @@ def road_movement(points_m: Array, times_s: Array, end_points: int) -> tuple[flo
     return along, across, scatter
 
 
+def _common_share(along_m: Array, sd_m: Array) -> float:
+    """Return how far, as a share of the distance driven, the places of a fitted body err together.
+
+    They err alike, since they share a size and a form, but more in the distance: what they err by stretches the way.
+    """
+    off = along_m - along_m.mean()
+    return float(abs(off @ sd_m) / max(float(off @ off), 1e-9))
+
+
 def measure_track(track_id: int, points: TrackPoints, camera: Camera, lane_lines: Array | None) -> MeasuredVehicle:
     """Measure the vehicle of a finished track.
 
@@ -147,6 +167,8 @@ def measure_track(track_id: int, points: TrackPoints, camera: Camera, lane_lines
     places = points.on_road_m(camera)
     contact, times = np.array(points.contact_points_px), np.array(points.times_s)
     speed, error = median_speed_and_error(places, times)
+    if points.along_sd_m:
+        error = float(np.hypot(error, speed * _common_share(places[:, 0], np.array(points.along_sd_m))))
     sizes = cuboid_sizes(np.array(points.vertices_px), camera)
     known = np.isfinite(sizes).all(axis=1)
     lane = None

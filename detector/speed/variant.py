@@ -8,6 +8,8 @@
     previous2d    as transform2d, with the whole frame rectified in place of the road
     dubska        as maskrcnn3d, around the silhouettes of a background model
     sochor        as dubska, around those silhouettes that detections confirm as vehicles
+    fitted3d      a body laid over all outlines of a vehicle's track at once -> middle of its bottom front edge; from
+                  masks tracked as by maskrcnn3d, from a detector's 3D boxes as by transform3d
 
 Source: Kocur & Ftacnik 2020, section 4; Kocur 2019 (the whole frame); Dubska et al. 2014; Sochor et al. 2017.
 This module imports nothing that takes time to load.
@@ -31,10 +33,11 @@ class Variant(Choice):
     PREVIOUS2D = "previous2d"
     DUBSKA = "dubska"
     SOCHOR = "sochor"
+    FITTED3D = "fitted3d"
 
     @property
     def in_frame(self) -> bool:
-        """Whether boxes lie in the frame, which is then not rectified as a whole."""
+        """Whether boxes of masks lie in the frame, which is then not rectified as a whole."""
         return self is Variant.ORIG2D or self.from_tangents
 
     @property
@@ -44,13 +47,8 @@ class Variant(Choice):
 
     @property
     def from_tangents(self) -> bool:
-        """Whether its 3D boxes are built around outlines in the frame."""
-        return self in (Variant.MASKRCNN3D, Variant.DUBSKA, Variant.SOCHOR)
-
-    @property
-    def from_c_c(self) -> bool:
-        """Whether its 3D boxes are decoded from 2D boxes and c_c."""
-        return self.is_3d and not self.in_frame
+        """Whether its 3D boxes are built around outlines in the frame, where these are of masks."""
+        return self in (Variant.MASKRCNN3D, Variant.DUBSKA, Variant.SOCHOR, Variant.FITTED3D)
 
     @property
     def region(self) -> Region:

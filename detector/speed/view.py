@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,8 +30,8 @@ class MeasurementView:
         camera: with a scale and the size of its frame.
         rectification: of the frame; None where boxes lie in the frame.
         mask_extent: what the masks cover, for boxes that end with the outline of a mask. Measured points are then
-            moved to the contact point (`detector.speed.contact_point`), except those of `orig2d`. None for boxes that
-            end at the edge of a 3D box on the road.
+            moved to the contact point (`detector.speed.contact_point`), except those of `orig2d` and `fitted3d`. None
+            for boxes that end at the edge of a 3D box on the road.
 
     Raises:
         CalibrationError: the camera has no scale, or does not know the size of its frame.
@@ -101,6 +103,7 @@ class MeasurementView:
         scores: ArrayLike | None = None,
         class_ids: ArrayLike | None = None,
         vertices_px: ArrayLike | None = None,
+        outlines_px: Sequence[Array] | None = None,
     ) -> tuple[Detections, NDArray[np.bool_]]:
         """Place the boxes of a frame in time and on the road.
 
@@ -112,6 +115,8 @@ class MeasurementView:
             scores: (N,) in [0, 1]; 1 where left out.
             class_ids: (N,) `labelgen.labels.VehicleClass`; 0 where left out.
             vertices_px: (N, 8, 2) frame px, the 3D boxes of variants that build them around outlines.
+            outlines_px: for `fitted3d`: N arrays (K, 2) frame px, points whose convex hull is the outline; the corners
+                of the 3D boxes where left out.
 
         Returns:
             the valid detections; and valid (N,), False where a box has no area, no 3D box fits into it, or its contact
@@ -123,7 +128,7 @@ class MeasurementView:
         classes = np.zeros(n, dtype=np.uint8) if class_ids is None else np.asarray(class_ids, dtype=np.uint8)
         cc_of, vertices, edges = self._boxes_3d(boxes, cc, vertices_px)
         points = self._middles(edges)
-        if self.mask_extent is not None and self.variant is not Variant.ORIG2D:
+        if self.mask_extent is not None and self.variant not in (Variant.ORIG2D, Variant.FITTED3D):
             points = move_to_contact_point(self.camera, points, self.mask_extent)
         has_area = np.isfinite(boxes).all(axis=1) & (boxes[:, :2] < boxes[:, 2:]).all(axis=1)
         valid = np.asarray(has_area & np.isfinite(edges).all(axis=(1, 2)) & np.isfinite(points).all(axis=1))
@@ -138,8 +143,17 @@ class MeasurementView:
             front_edges_px=self.to_frame(edges[valid]),
             contact_points_px=points[valid],
             contact_visible=self._contact_visible(boxes[valid]),
+            outlines_px=self._outlines(vertices, outlines_px, valid),
         )
         return detections, valid
+
+    def _outlines(
+        self, vertices: Array, outlines_px: Sequence[Array] | None, valid: NDArray[np.bool_]
+    ) -> tuple[Array, ...]:
+        if self.variant is not Variant.FITTED3D:
+            return ()
+        points = [cv2.convexHull(p.astype(np.float32))[:, 0] for p in outlines_px] if outlines_px else vertices
+        return tuple(np.asarray(points[i], dtype=np.float32) for i in np.flatnonzero(valid).tolist())
 
     def _boxes_3d(self, boxes: Array, cc: Any, vertices_px: Any) -> tuple[Array, Array, Array]:
         """Return c_c (N,), 3D boxes (N, 8, 2) frame px, bottom front edges (N, 2, 2) px of the view; NaN for none."""
@@ -147,12 +161,11 @@ class MeasurementView:
         no_cc, no_vertices = np.full(n, np.nan), np.full((n, 8, 2), np.nan)
         if not self.variant.is_3d:
             return no_cc, no_vertices, boxes[:, [0, 3, 2, 3]].reshape(-1, 2, 2)
-        if not self.variant.from_c_c:
+        if self.rectification is None:
             vertices = (
                 no_vertices if vertices_px is None else np.asarray(vertices_px, dtype=np.float64).reshape(-1, 8, 2)
             )
             return no_cc, vertices, vertices[:, 4:6]
-        assert self.rectification is not None
         cc_of = no_cc if cc is None else np.asarray(cc, dtype=np.float64).reshape(-1)
         decoded, valid = decode_boxes(boxes, cc_of, self.rectification.vpu)
         decoded[~valid] = np.nan
@@ -160,7 +173,7 @@ class MeasurementView:
 
     def _middles(self, edges: Array) -> Array:
         """Return (N, 2) frame px of the middles of edges (N, 2, 2) in px of the view."""
-        if self.variant.from_tangents:
+        if self.variant.is_3d and self.rectification is None:
             # In the frame the edge is seen in perspective, so its middle is taken on the road.
             return self.camera.project(self.camera.road_points(edges, invalid="nan").mean(axis=1))
         return self.to_frame(edges.mean(axis=1))

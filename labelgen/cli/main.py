@@ -57,7 +57,13 @@ _COMMANDS = {
     "export-model": _Entry("export_model:export_model", "Write a detector as ONNX."),
 }
 # Parameters of the library whose option has another name.
-_OPTION_OF = {"size_wh": "size", "masks": "from_", "kinds": "bodies", "start_s": "start"}
+_OPTION_OF = {
+    "size_wh": "size",
+    "masks": "from_",
+    "kinds": "bodies",
+    "start_s": "start",
+    "correct_contact_point": "near_end",
+}
 # Where a library says that something is there already, another place is the other way out.
 _OTHER_WAY = {"overwrite": "out"}
 # Options whose value is one of several words: blanks around it do no harm.

@@ -176,12 +176,11 @@ def _measure(
     json_file: Path | None,
 ) -> None:  # fmt: skip
     """Measure, move the results up if they are whole, and tell what they are."""
-    from detector.speed.meter import SpeedMeter
     from detector.speed.pipeline import measure
     from labelgen.errors import OutputError
 
     staged = files.within(output.path, str(job.view.variant))
-    meter = SpeedMeter(job.view.camera, fps=job.fps, lane_lines=job.lane_lines)
+    meter = job.meter()
     is_live = job.frames is not None and job.frames.is_live
     with progress_bar(job.frame_count, "frame", job.name) as advance:
         try:
@@ -307,6 +306,8 @@ def _plan_file(
     from labelgen.datasets.scene import find_scene
 
     file = DetectionFile.open(path)
+    if variant is Variant.FITTED3D:
+        file, variant = file.fitted(), None
     for option, value in (("--variant", variant), ("--pair", pair), ("--size", size)):
         if value:
             raise LabelgenError(f"--from detections:{path}: the file itself says how it was made; leave out {option}")

@@ -14,7 +14,7 @@ Convention:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -23,12 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from labelgen.geometry.homography import Array
 
-__all__ = ["FORMS_FILE", "MODES", "BodyForm", "BodyForms", "form_directions", "load_body_forms"]
+__all__ = ["FORMS_FILE", "MODES", "BodyForm", "BodyForms", "cuboid_forms", "form_directions", "load_body_forms"]
 
 FORMS_FILE = "body_forms.npz"
 MODES = 8
 """Modes of variation of each family."""
 _LATITUDES, _LONGITUDES = 37, 37
+_NO_MIRROR_SD_M = 1e-3
 
 
 @cache
@@ -143,3 +144,19 @@ def load_body_forms() -> BodyForms:
                 )
             )  # fmt: skip
     return BodyForms(tuple(forms), np.concatenate(tables))
+
+
+@cache
+def cuboid_forms() -> BodyForms:
+    """Return the families of the package with solid cuboids in place of their bodies.
+
+    For outlines that are of 3D boxes already: sizes and classes are those of the families, forms do not vary.
+    """
+    forms = tuple(
+        replace(form, mirror_m=(0.0, _NO_MIRROR_SD_M), mirror_place=(0.0, 0.5), error_m=0.0)
+        for form in load_body_forms().forms
+    )
+    directions = form_directions()
+    table = np.zeros((len(forms), len(directions), 1 + MODES), dtype=np.float32)
+    table[..., 0] = np.abs(directions[:, :2]).sum(axis=1) / 2 + np.maximum(directions[:, 2], 0)
+    return BodyForms(forms, table.reshape(-1, 1 + MODES))

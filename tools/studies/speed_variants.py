@@ -28,6 +28,8 @@ from detector.speed.contact_point import MaskExtent
 from detector.speed.detections import Detections
 from detector.speed.mask_detections import MaskPlacer
 from detector.speed.meter import SpeedMeter
+from detector.speed.track_fit import TrackFitter
+from detector.speed.track_speed import MeasuredVehicle
 from detector.speed.variant import Variant
 from detector.speed.view import MeasurementView
 from detector.tracking.tracks import Tracks
@@ -36,6 +38,7 @@ from labelgen.datasets.brnocompspeed import GroundTruth, parse_ground_truth
 from labelgen.datasets.manifest import load_manifest
 from labelgen.errors import DataError, LabelgenError, RectificationError
 from labelgen.geometry import Camera, Pair, RoadMask, Rule, parse_size
+from labelgen.geometry.homography import Array
 from labelgen.masks import InstanceMasks
 from labelgen.synth.renderer.renderer import Renderer
 from labelgen.synth.renderer.vehicle_masks import DrawnVehicle
@@ -55,6 +58,7 @@ _OFFSETS_EVERY = 10
 _NEAR_M = (6.0, 1.7)
 """Farther away than this along and across the road a true point belongs to another vehicle."""
 _ORDER = (
+    Variant.FITTED3D,
     Variant.TRANSFORM3D,
     Variant.MASKRCNN3D,
     Variant.PREVIOUS3D,
@@ -75,9 +79,26 @@ class _VariantRun:
     cars: list[dict[str, Any]]
     offsets_m: list[Any]
 
-    def add(self, detections: Detections) -> None:
+    def add(self, detections: Detections, trips: Sequence[Trip]) -> None:
+        """Track the detections of a frame, and note now and then how far their points are from the true ones."""
         _, vehicles = self.meter.add(detections)
+        self._keep(vehicles, trips)
+        if self.view.variant is not Variant.FITTED3D and detections.frame % _OFFSETS_EVERY == 0:
+            points_px = detections.contact_points_px[detections.contact_visible]
+            self.offsets_m += _offsets(self.view.camera, points_px, trips, detections.time_s)
+
+    def finish(self, trips: Sequence[Trip]) -> None:
+        """End all tracks."""
+        self._keep(self.meter.finish(), trips)
+
+    def _keep(self, vehicles: Sequence[MeasuredVehicle], trips: Sequence[Trip]) -> None:
         self.cars += [vehicle.to_car() for vehicle in vehicles]
+        if self.view.variant is not Variant.FITTED3D:
+            return
+        for vehicle in vehicles:
+            for i in np.flatnonzero(vehicle.frames % _OFFSETS_EVERY == 0).tolist():
+                time_s = float(vehicle.times_s[i])
+                self.offsets_m += _offsets(self.view.camera, vehicle.points_px[i : i + 1], trips, time_s)
 
 
 def _masks(drawn: Sequence[DrawnVehicle], frame_wh: tuple[int, int]) -> InstanceMasks:
@@ -135,9 +156,9 @@ def _variant_runs(
             except RectificationError as err:
                 impossible[name] = str(err)
                 continue
-            runs.append(
-                _VariantRun(name, view, MaskPlacer(view, road, pair, rule), SpeedMeter(camera, fps=fps), [], [])
-            )
+            fitter = TrackFitter(view) if variant is Variant.FITTED3D else None
+            meter = SpeedMeter(camera, fps=fps, fitter=fitter)
+            runs.append(_VariantRun(name, view, MaskPlacer(view, road, pair, rule), meter, [], []))
     return runs, impossible
 
 
@@ -183,13 +204,11 @@ def measure_session(
                 boxes = (source.boxes_xyxy, None, source.scores, source.class_ids)
                 detections, _ = run.view.place(number, time_s, *boxes)
             detections_of[run.name] = detections
-            run.add(detections)
-            if number % _OFFSETS_EVERY == 0:
-                run.offsets_m += _offsets(scene.camera, detections, trips, time_s)
+            run.add(detections, trips)
     truth = parse_ground_truth(ground_truth(scene, trips, duration_s, fps, surveyed))
     rows = {"true points": _score(scene, truth, list(exact.values()))}
     for run in runs:
-        run.cars += [vehicle.to_car() for vehicle in run.meter.finish()]
+        run.finish(trips)
         rows[run.name] = _score(scene, truth, run.cars)
         offsets = np.array(run.offsets_m).reshape(-1, 2)
         rows[run.name] |= {"rejects": dict(run.placer.rejects), "along_m": offsets[:, 0].tolist()}
@@ -207,9 +226,9 @@ def measure_session(
     }
 
 
-def _offsets(camera: Camera, detections: Detections, trips: Sequence[Trip], time_s: float) -> list[Any]:
-    """Return measured minus true points, metres along and across the road, where the contact is visible."""
-    measured = camera.road_points(detections.contact_points_px[detections.contact_visible], invalid="nan")
+def _offsets(camera: Camera, points_px: Array, trips: Sequence[Trip], time_s: float) -> list[Any]:
+    """Return measured minus true points, metres along and across the road."""
+    measured = camera.road_points(points_px, invalid="nan")
     true = np.array([trip.near_point(time_s) for trip in trips])
     apart = measured[:, None] - true
     nearest = np.hypot(apart[..., 0], 2 * apart[..., 1]).argmin(axis=1) if len(measured) else np.empty(0, dtype=int)

@@ -89,6 +89,8 @@ def fit_bodies(
     signs: Sequence[int | None],
     classes: Sequence[frozenset[int]],
     settings: BodyFitSettings,
+    forms: BodyForms | None = None,
+    fitted: NDArray[np.bool_] | None = None,
 ) -> FittedBodies:
     """Lay a body over all outlines of each vehicle.
 
@@ -101,8 +103,17 @@ def fit_bodies(
         signs: V directions of travel, +1 away from the camera; None where both are possible.
         classes: V sets of the `VehicleClass` numbers that are possible; empty where all are.
         settings: of the fit.
+        forms: families of bodies; those of the package where left out.
+        fitted: (R,) the outlines that the vehicles' sizes and forms are found from, at least one of each vehicle; to
+            the others the body is laid as it is then. All where left out.
     """
-    forms = load_body_forms()
+    forms = forms or load_body_forms()
+    everything = _Problem(outlines, times_s, camera, forms, errors, settings)
+    problem, all_vehicles = everything, vehicles
+    if fitted is not None:
+        rows = np.flatnonzero(fitted)
+        outlines, vehicles, times_s = outlines.select(rows), vehicles[rows], times_s[rows]
+        problem = replace(everything, outlines=outlines, times_s=times_s)
     hypotheses, shares = [], []
     for v, (sign, possible) in enumerate(zip(signs, classes, strict=True)):
         families = [k for k, form in enumerate(forms.forms) if not possible or form.vehicle_class in possible]
@@ -111,7 +122,6 @@ def fit_bodies(
             for s in (1, -1) if sign is None else (sign,):
                 hypotheses.append((v, k, s))
                 shares.append(np.log(forms.forms[k].share / total))
-    problem = _Problem(outlines, times_s, camera, forms, errors, settings)
     fit = start_fit(outlines, vehicles, hypotheses, camera, forms, errors)
     priors = Priors.of(fit, forms, errors, np.array(shares))
     # A hypothesis of which a sighting lies beyond the horizon cannot be placed.
@@ -128,7 +138,31 @@ def fit_bodies(
     best = np.zeros(len(cost), dtype=np.bool_)
     best[order[np.unique(fit.vehicle[order], return_index=True)[1]]] = True
     fit, priors = fit.select(best), priors.select(best)
-    return _results(fit, priors, problem)
+    if fitted is not None:
+        fit = _with_all(replace(fit, outline=rows[fit.outline]), all_vehicles, everything.times_s)
+        fit = _steps(fit, priors, everything, settings.place_steps, keep_shared=True)
+    return _results(fit, priors, everything)
+
+
+def _with_all(fit: BodyFit, vehicles: NDArray[np.int64], times_s: Array) -> BodyFit:
+    """Return the best hypotheses with all sightings of their vehicles; new ones stand between their neighbours."""
+    order = np.lexsort((times_s, vehicles))
+    number = np.full(int(vehicles.max()) + 1, -1)
+    number[fit.vehicle] = np.arange(len(fit.vehicle))
+    outline = order[number[vehicles[order]] >= 0]
+    hypothesis = number[vehicles[outline]]
+    place, heading = np.empty((len(outline), 2)), np.empty(len(outline))
+    for p in range(len(fit.vehicle)):
+        new, old = hypothesis == p, np.flatnonzero(fit.hypothesis == p)
+        old = old[np.argsort(times_s[fit.outline[old]])]
+        at, known = times_s[outline[new]], times_s[fit.outline[old]]
+        for k in range(2):
+            place[new, k] = np.interp(at, known, fit.place[old, k])
+        heading[new] = np.interp(at, known, fit.heading[old])
+    order = np.argsort(hypothesis, kind="stable")
+    return replace(
+        fit, outline=outline[order], hypothesis=hypothesis[order], place=place[order], heading=heading[order]
+    )
 
 
 def _best(vehicle: NDArray[np.int64], cost: Array, count: int) -> Array:
@@ -137,15 +171,16 @@ def _best(vehicle: NDArray[np.int64], cost: Array, count: int) -> Array:
     return lowest
 
 
-def _steps(fit: BodyFit, priors: Priors, problem: _Problem, steps: int) -> BodyFit:
+def _steps(fit: BodyFit, priors: Priors, problem: _Problem, steps: int, *, keep_shared: bool = False) -> BodyFit:
     settings = problem.settings
     limits = np.concatenate([np.full(3, settings.max_log_step), np.full(MODES, _MAX_MODE_STEP), _MAX_OTHER_STEP])
     moves = np.array([settings.max_move_m, settings.max_move_m, settings.max_turn])
     for _ in range(steps):
-        normal = _normal_equations(
-            fit, priors, problem.residuals(fit), expected_path(fit, problem.times_s, settings), settings
-        )
+        path = expected_path(fit, problem.times_s, settings)
+        normal = _normal_equations(fit, priors, problem.residuals(fit), path)
         change = np.clip(np.linalg.solve(normal.matrix, normal.pull[..., None])[..., 0], -limits, limits)
+        if keep_shared:
+            change[:] = 0
         own = normal.own_pull - (normal.back @ change[fit.hypothesis][..., None])[..., 0]
         own = np.clip(own, -moves, moves)
         fit = replace(fit, shared=fit.shared + change, place=fit.place + own[:, :2], heading=fit.heading + own[:, 2])
@@ -171,9 +206,7 @@ class _Normal:
     back: Array
 
 
-def _normal_equations(
-    fit: BodyFit, priors: Priors, r: Residuals, path: tuple[Array, Array], settings: BodyFitSettings
-) -> _Normal:
+def _normal_equations(fit: BodyFit, priors: Priors, r: Residuals, path: tuple[Array, Array]) -> _Normal:
     weighted_own = np.swapaxes(r.by_own * r.weights[..., None], -1, -2)
     weighted = np.swapaxes(r.by_shared * r.weights[..., None], -1, -2)
     expected, precision = path
@@ -195,7 +228,7 @@ def _costs(fit: BodyFit, priors: Priors, problem: _Problem) -> Array:
     """Return minus the logarithm of each hypothesis's evidence (P,), up to a constant (Laplace's approximation)."""
     r = problem.residuals(fit)
     path = expected_path(fit, problem.times_s, problem.settings)
-    normal = _normal_equations(fit, priors, r, path, problem.settings)
+    normal = _normal_equations(fit, priors, r, path)
     off = fit.shared - priors.mean
     prior = (off[:, None] @ priors.precision @ off[..., None])[:, 0, 0] / 2
     own = np.concatenate([fit.place, fit.heading[:, None]], axis=1)
@@ -208,7 +241,7 @@ def _costs(fit: BodyFit, priors: Priors, problem: _Problem) -> Array:
 def _results(fit: BodyFit, priors: Priors, problem: _Problem) -> FittedBodies:
     r = problem.residuals(fit)
     path = expected_path(fit, problem.times_s, problem.settings)
-    normal = _normal_equations(fit, priors, r, path, problem.settings)
+    normal = _normal_equations(fit, priors, r, path)
     p = fit.hypothesis
     shared = np.linalg.inv(normal.matrix)[p]
     moved = normal.back @ shared

@@ -17,6 +17,7 @@ from labelgen.geometry.cuboid import road_cuboids
 from labelgen.geometry.homography import Array, IntArray
 from labelgen.geometry.outline_label import mask_polygon
 from labelgen.geometry.rectification import Rectification
+from labelgen.labeling.fitted.classes import possible_classes
 from labelgen.labeling.fitted.fit import FittedBodies, fit_bodies
 from labelgen.labeling.fitted.outlines import Outlines, measure_outlines
 from labelgen.labeling.fitted.passages import Sightings, join_passages
@@ -52,13 +53,6 @@ _MAX_COST = 40.0
 """Half the robust sum of squares of a sighting from which on no body explains the mask."""
 _OCCLUDED = 0.15
 """Share of a vehicle that is missing in its mask from which on it is flagged: forms are known to some hundredths."""
-_SEEN_AS = {
-    VehicleClass.CAR: {VehicleClass.CAR},
-    # Networks call vans and pickups trucks, and coaches as well.
-    VehicleClass.TRUCK: {VehicleClass.TRUCK, VehicleClass.CAR, VehicleClass.BUS},
-    VehicleClass.BUS: {VehicleClass.BUS, VehicleClass.TRUCK, VehicleClass.CAR},
-    VehicleClass.MOTORCYCLE: {VehicleClass.MOTORCYCLE},
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +207,7 @@ def _fit(
         lane = known & (np.abs(places[first, 1] - places[first[v], 1]) < _LANE_M)
         if lane.sum() >= _FEWEST_IN_LANE and abs(np.sign(moved[lane]).mean()) > 0.8:
             signs[v] = int(np.sign(moved[lane].sum()))
-    classes = [_possible(seen.class_ids[vehicles == v]) for v in range(count)]
+    classes = [possible_classes(seen.class_ids[vehicles == v].tolist()) for v in range(count)]
     parts = []
     for chosen in _batches(np.bincount(vehicles, minlength=count)):
         rows = np.flatnonzero(np.isin(vehicles, chosen))
@@ -224,14 +218,6 @@ def _fit(
         )  # fmt: skip
         parts.append((rows, fitted))
     return FittedBodies.scattered(parts, len(vehicles))
-
-
-def _possible(class_ids: IntArray) -> frozenset[int]:
-    """Return the classes that a vehicle may be of, by those of its masks; empty for any."""
-    found: set[int] = set()
-    for name in set(class_ids.tolist()) - {int(VehicleClass.VEHICLE)}:
-        found |= {int(c) for c in _SEEN_AS[VehicleClass(name)]}
-    return frozenset(found)
 
 
 def _batches(counts: IntArray) -> Iterator[IntArray]:

@@ -14,10 +14,6 @@ from labelgen.labeling.fitted.settings import BodyFitSettings
 
 __all__ = ["Outlines", "measure_outlines"]
 
-_MARGIN_PX = 1.5
-"""An outline that comes as near to the picture's border may go on beyond it, px."""
-
-
 @dataclass(frozen=True, eq=False)
 class Outlines:
     """R outlines, each measured in M directions of the image.
@@ -49,7 +45,12 @@ class Outlines:
 
 
 def measure_outlines(
-    polygons_px: Sequence[Array], camera: Camera, frame_wh: tuple[int, int], settings: BodyFitSettings
+    polygons_px: Sequence[Array],
+    camera: Camera,
+    frame_wh: tuple[int, int],
+    settings: BodyFitSettings,
+    *,
+    margin_px: float = 1.5,
 ) -> Outlines:
     """Measure outlines.
 
@@ -58,6 +59,8 @@ def measure_outlines(
         camera: with a scale.
         frame_wh: width, height of the frame, px.
         settings: of the fit.
+        margin_px: an outline that comes as near to the picture's border may go on beyond it, px. Masks that are made on
+            a smaller picture, or by a network, end farther from it.
     """
     directions = settings.direction_vectors
     count, m = len(polygons_px), settings.directions
@@ -69,7 +72,7 @@ def measure_outlines(
         reach[r], farthest[r] = along[last, np.arange(m)], polygon[last]
         low[r], high[r] = polygon.min(axis=0), polygon.max(axis=0)
     size = np.asarray(frame_wh, dtype=np.float64)
-    beyond = (farthest < _MARGIN_PX) & (directions < 0) | (farthest > size - _MARGIN_PX) & (directions > 0)
+    beyond = (farthest < margin_px) & (directions < 0) | (farthest > size - margin_px) & (directions > 0)
     in_camera = np.concatenate(
         [np.broadcast_to(directions, (count, m, 2)), -((reach - directions @ camera.pp) / camera.focal)[..., None]], -1
     )

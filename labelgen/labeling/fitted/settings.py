@@ -87,6 +87,8 @@ class BodyFitSettings:
     """Steps of all hypotheses."""
     last_steps: int = 8
     """Steps of those that are left."""
+    place_steps: int = 3
+    """Steps of sightings that are laid to a body that others gave."""
     margin: float = 6.0
     """Hypotheses that cost so much more than the best after the first steps are dropped."""
     sigma_scale: float = 1.15
