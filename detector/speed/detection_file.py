@@ -139,8 +139,8 @@ class DetectionFile:
             return self
         if self.rectification is None or not self.variant.is_3d or self.mask_extent is not None:
             raise LabelgenError(
-                f"variant fitted3d: it needs a detector's boxes with c_c, or masks themselves; {self.path} has boxes of "
-                f"{self.variant}; leave out the variant",
+                f"variant fitted3d: it needs a detector's boxes with c_c, or masks themselves; {self.path} has those "
+                f"of {self.variant}; leave out the variant",
                 parameter="variant",
             )
         return replace(self, variant=Variant.FITTED3D)

@@ -114,7 +114,7 @@ class TrackFitter:
         """Return the errors of a track's outlines, and how near to the border they may be cut by it, px."""
         if self._view.rectification is not None:
             px = self._view.frame_wh[0] / self._view.size_wh[0]
-            return MaskErrors(0.5 * px, 0.01, (0.0, 0.5 * px), (0.0, 0.005)), 1.5 * px
+            return MaskErrors(0.5 * px, 0.01, (0.0, 0.5 * px, 0.0), (0.0, 0.005)), 1.5 * px
         width = self._view.frame_wh[0]
         if self._view.mask_extent is MaskExtent.BODY_AND_SHADE:
             return SILHOUETTE_MASKS, max(1.5, 2 * width / WORKING_WIDTH)

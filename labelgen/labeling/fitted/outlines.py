@@ -14,6 +14,7 @@ from labelgen.labeling.fitted.settings import BodyFitSettings
 
 __all__ = ["Outlines", "measure_outlines"]
 
+
 @dataclass(frozen=True, eq=False)
 class Outlines:
     """R outlines, each measured in M directions of the image.

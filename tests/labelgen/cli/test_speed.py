@@ -465,3 +465,29 @@ def test_a_real_road(real_data: Path, tmp_path: Path) -> None:
     assert {row["direction"] for row in long} == {"away"}
     assert all(30 < float(row["speed_kmh"]) < 75 for row in long)
     assert all(1.4 < float(row["width_m"]) < 3.0 for row in long)
+
+
+def test_bodies_from_masks_and_from_their_file(scene: Path, tmp_path: Path) -> None:
+    """Fitted tracks are whole when they end; their file of detections holds the outlines."""
+    video = scene / "road.mp4"
+    masks = f"masks:coco:{scene / 'masks.json'}"
+    common = ("--variant", "fitted3d", "--overwrite")
+    assert run(video, "--from", masks, *common, "--out", tmp_path / "a", near_end="vehicle") == 0
+    # Cuboids are no bodies of vehicles.
+    assert sorted(speeds(tmp_path / "a" / "road", "fitted3d")) == pytest.approx([48.0, 60.0, 72.0], abs=2.5)
+    file = f"detections:{tmp_path / 'a' / 'road' / 'detections_fitted3d.jsonl'}"
+    assert run(video, "--from", file, *common, "--out", tmp_path / "b", near_end="vehicle") == 0
+    again = speeds(tmp_path / "b" / "road", "fitted3d")
+    assert again == pytest.approx(speeds(tmp_path / "a" / "road", "fitted3d"), abs=0.02)
+
+
+def test_bodies_refuse_what_does_not_go_with_them(
+    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    video, masks = scene / "road.mp4", f"masks:coco:{scene / 'masks.json'}"
+    assert run(video, "--from", masks, "--variant", "fitted3d", "--out", tmp_path / "a") == 2
+    assert "--near-end" in capfd.readouterr().err
+    assert run(video, "--from", masks, "--variant", "orig2d", "--out", tmp_path / "b") == 0
+    file = f"detections:{tmp_path / 'b' / 'road' / 'detections_orig2d.jsonl'}"
+    assert run(video, "--from", file, "--variant", "fitted3d", "--out", tmp_path / "c", near_end="vehicle") == 2
+    assert "needs a detector's boxes with c_c" in capfd.readouterr().err
