@@ -33,11 +33,39 @@ _BROKEN_IMAGE = re.compile(
 _POLL_S = 0.5
 
 
+class _KeptTerminal:
+    """A descriptor of standard error, one for the process: loggers of other libraries keep writing to it."""
+
+    def __init__(self) -> None:
+        self._descriptor: int | None = None
+        self.is_used = False
+
+    def take(self) -> int:
+        """Let the descriptor be the present standard error, and return it."""
+        if self._descriptor is None:
+            self._descriptor = os.dup(_STDERR)
+        else:
+            os.dup2(_STDERR, self._descriptor)
+        return self._descriptor
+
+    def __enter__(self) -> None:
+        self.is_used = True
+
+    def __exit__(self, *_: object) -> None:
+        self.is_used = False
+
+
+_kept = _KeptTerminal()
+
+
 @contextmanager
 def counted_foreign_messages() -> Iterator[None]:
     """Count the messages of image libraries in this block, and log them in one line at its end."""
+    if _kept.is_used:  # within another such block
+        yield
+        return
     try:
-        terminal = os.dup(_STDERR)
+        terminal = _kept.take()
     except OSError:  # there is no standard error
         yield
         return
@@ -48,7 +76,7 @@ def counted_foreign_messages() -> Iterator[None]:
         return
     messages, ended = _Messages(file, terminal), threading.Event()
     poller = threading.Thread(target=messages.poll, args=(ended,), daemon=True)
-    with file, _python_writes_to(terminal):
+    with file, _kept, _python_writes_to(terminal):
         sys.stderr.flush()
         # Processes that inherit the descriptor share its position: no line is written over another.
         os.dup2(file.fileno(), _STDERR)

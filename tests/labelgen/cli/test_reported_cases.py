@@ -79,7 +79,8 @@ def test_siblings_of_reported_masks(labelgen: Any, clip: Path, tmp_path: Path, n
     change(data)
     (tmp_path / "m.json").write_bytes(json.dumps(data).encode(encoding))
     done = labelgen(
-        "bcs-masks", clip, "--masks", "coco:m.json", "--every", EVERY, "--out", "out", "--json", "r.json"
+        "bcs-masks", "--rule", "wider", clip, "--masks", "coco:m.json", "--every", EVERY, "--out", "out",
+        "--json", "r.json",
     )  # fmt: skip
     report = json.loads((tmp_path / "r.json").read_text())
     assert (done.returncode, report.get("images"), report.get("labels")) == RIGHT, done.stderr
@@ -101,7 +102,9 @@ def test_masks_of_another_size(
     (width, height) = size_wh
     each("annotations", segmentation=lambda _: [[10, 10, width - 10, 10, width - 10, height - 10]])(data)
     (tmp_path / "m.json").write_text(json.dumps(data))
-    done = labelgen("bcs-masks", clip, "--masks", "coco:m.json", "--every", EVERY, "--out", "out", *options)
+    done = labelgen(
+        "bcs-masks", "--rule", "wider", clip, "--masks", "coco:m.json", "--every", EVERY, "--out", "out", *options
+    )
     assert done.returncode == 2
     assert told in done.stderr.splitlines()[-1]
     assert not (tmp_path / "out").exists()
@@ -133,7 +136,8 @@ def test_files_without_their_end(labelgen: Any, clip: Path, tmp_path: Path, suff
     for kind in (".calibration.json", ".mask.png"):
         shutil.copy(clip.with_suffix("").with_suffix(kind), tmp_path / f"clip{kind}")
     done = labelgen(
-        "bcs-masks", path, "--masks", f"coco:{clip.parent / 'masks.json'}", "--every", EVERY, "--out", "out"
+        "bcs-masks", "--rule", "wider", path, "--masks", f"coco:{clip.parent / 'masks.json'}", "--every", EVERY,
+        "--out", "out",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     if suffix == "ts":  # it announces nothing: a recording that is cut is a shorter recording
@@ -193,11 +197,24 @@ def test_speeds_of_reported_cases(labelgen: Any, cases: Path, tmp_path: Path, na
 @pytest.mark.parametrize("name", ["exact", "nfd", "percent", "labelstudio", "suffix"])
 def test_names_of_a_reported_folder(labelgen: Any, cases: Path, tmp_path: Path, name: str) -> None:
     folder = cases / "names_that_match_nothing"
-    done = labelgen("bcs-masks", folder / "imgs", "--masks", f"coco:{folder / name}.json", "--every", 1, "--out", "o")
+    done = labelgen(
+        "bcs-masks",
+        "--rule",
+        "wider",
+        folder / "imgs",
+        "--masks",
+        f"coco:{folder / name}.json",
+        "--every",
+        1,
+        "--out",
+        "o",
+    )
     assert done.returncode == 0, done.stderr
     assert "6 of 60 image entries used" in done.stderr
     masks = f"coco:{cases / '_base' / 'truth.json'}"
-    base = labelgen("bcs-masks", cases / "_base" / "base.mp4", "--masks", masks, "--every", 10, "--out", "r")
+    base = labelgen(
+        "bcs-masks", "--rule", "wider", cases / "_base" / "base.mp4", "--masks", masks, "--every", 10, "--out", "r"
+    )
     assert base.returncode == 0
     right = {sample.frame: sample.labels.boxes_xyxy for sample in ShardDataset(tmp_path / "r")}
     for sample in ShardDataset(tmp_path / "o"):
@@ -209,20 +226,38 @@ def test_names_of_a_reported_folder(labelgen: Any, cases: Path, tmp_path: Path, 
 def test_the_other_reported_cases(labelgen: Any, cases: Path, tmp_path: Path) -> None:
     base = cases / "_base" / "base.mp4"
     masks = ("--masks", f"coco:{cases / '_base' / 'truth.json'}")
-    refused = labelgen("bcs-masks", base, "--masks", f"coco:{cases}/polygons_of_another_size/masks.json", "--out", "p")
+    refused = labelgen(
+        "bcs-masks",
+        "--rule",
+        "wider",
+        base,
+        "--masks",
+        f"coco:{cases}/polygons_of_another_size/masks.json",
+        "--out",
+        "p",
+    )
     assert refused.returncode == 2
     assert "366 masks made for frames of 640x360 px, but the frames are 320x180" in refused.stderr
-    scaled = labelgen("bcs-masks", base, "--masks", f"coco:{cases}/polygons_of_another_size/masks.json", "--every", 5,
-                      "--scale-masks", "--out", "q")  # fmt: skip
+    scaled = labelgen("bcs-masks", "--rule", "wider", base, "--masks",
+                      f"coco:{cases}/polygons_of_another_size/masks.json", "--every", 5, "--scale-masks", "--out", "q")  # fmt: skip
     assert scaled.returncode == 0
     assert 44 <= len(ShardDataset(tmp_path / "q").table("labels/cc")) <= 48
-    assert labelgen("bcs-masks", base, *masks, "--every", 5, "--out", "right").returncode == 0
+    assert labelgen("bcs-masks", "--rule", "wider", base, *masks, "--every", 5, "--out", "right").returncode == 0
     right = {sample.frame: sample.labels.boxes_xyxy for sample in ShardDataset(tmp_path / "right")}
     assert sum(map(len, right.values())) == 46
     for name in ("masks", "masks_frame_key"):
         two = cases / "two_videos_one_coco"
         done = labelgen(
-            "bcs-masks", two / "camB.mp4", "--masks", f"coco:{two / name}.json", "--every", 5, "--out", name
+            "bcs-masks",
+            "--rule",
+            "wider",
+            two / "camB.mp4",
+            "--masks",
+            f"coco:{two / name}.json",
+            "--every",
+            5,
+            "--out",
+            name,
         )
         assert done.returncode == 0
         assert "30 of 60 image entries used, 30 of other videos" in done.stderr

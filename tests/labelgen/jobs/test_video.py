@@ -268,6 +268,7 @@ def test_a_part_without_a_readable_frame_is_an_empty_shard(labelgen, clip: Path,
     masks = ("--masks", f"coco:{clip.parent / 'masks.json'}", "--every", 1, "--per-shard", 4)
     report = _run(labelgen, tmp_path / "out", folder, *scene, *masks)
     assert [len(ShardReader(path)) for path in sorted((tmp_path / "out").glob("*.h5"))] == [4, 0, 4]
-    assert report["rejects_by_reason"]["input problem"] == 5
+    assert report["rejects_by_reason"]["input problem"] == 2
     rejects = (tmp_path / "out" / "rejects.jsonl").read_text()
+    assert "4 images skipped: they cannot be read, such as 0004.png" in rejects
     assert "masks.json: 12 of 60 image entries used, 48 name no image of the folder" in rejects
