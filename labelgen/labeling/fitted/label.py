@@ -124,7 +124,7 @@ def label_passages(
             "choose another rule, or add 'scale' to the calibration"
         )
     rejections = [Rejections(rectification.size_wh, limits) for _ in frames]
-    seen = _candidates(frames, rectification, camera, road, limits, settings, rejections)
+    seen = _candidates(frames, rectification, camera, road, errors, limits, settings, rejections)
     if not len(seen.frame):
         return [rejected.result(Labels.empty()) for rejected in rejections]
     times = np.array([frame.time_s for frame in frames])[seen.frame]
@@ -143,6 +143,7 @@ def _candidates(
     rectification: Rectification,
     camera: Camera,
     road: BoolArray,
+    errors: MaskErrors,
     limits: LabelLimits,
     settings: BodyFitSettings,
     rejections: Sequence[Rejections],
@@ -170,7 +171,7 @@ def _candidates(
             polygons.append(polygon)
             rows.append((f, i, bool(cut[i]), bool(touch[i]), int(masks.class_ids[i])))
     table = np.array(rows, dtype=np.int64).reshape(-1, 5)
-    measured = measure_outlines(polygons, camera, frame_wh, settings)
+    measured = measure_outlines(polygons, camera, frame_wh, settings, margin_px=errors.margin_px(frame_wh))
     return _Candidates(
         table[:, 0], table[:, 1], measured, table[:, 2].astype(np.bool_), table[:, 3].astype(np.bool_), table[:, 4]
     )

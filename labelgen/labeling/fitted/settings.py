@@ -35,6 +35,7 @@ class MaskErrors:
         shadow: how far they reach below, as a share of their size.
         robust: residual, in standard deviations, at which a direction has half its weight: less where parts of outlines
             are often quite wrong.
+        border_share: how far masks end short of the frame's border, as a share of its width.
     """
 
     outline_px: float
@@ -42,6 +43,11 @@ class MaskErrors:
     swelling: tuple[float, float, float]
     shadow: tuple[float, float]
     robust: float = 1.5
+    border_share: float = 0.0
+
+    def margin_px(self, frame_wh: tuple[int, int]) -> float:
+        """Return how near to a frame's border an outline may be cut by it, px."""
+        return max(1.5, self.border_share * frame_wh[0])
 
     @staticmethod
     def of(masks: Sequence[InstanceMasks], *, are_silhouettes: bool) -> MaskErrors:
@@ -55,9 +61,9 @@ EXACT_MASKS = MaskErrors(0.35, 0.0, (0.0, 0.25, 0.0), (0.0, 0.002), 2.5)
 """Rendered masks."""
 DRAWN_MASKS = MaskErrors(0.5, 0.004, (0.0, 0.5, 0.003), (0.0, 0.003), 2.5)
 """Masks that are no predictions: drawn by hand, or rendered."""
-NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 0.7, 0.012), (0.0, 0.01))
+NETWORK_MASKS = MaskErrors(0.7, 0.012, (0.0, 0.7, 0.012), (0.0, 0.01), border_share=0.01)
 """Masks of a segmentation network: coarse, without shadows."""
-SILHOUETTE_MASKS = MaskErrors(0.7, 0.015, (0.3, 0.6, 0.008), (0.03, 0.035))
+SILHOUETTE_MASKS = MaskErrors(0.7, 0.015, (0.3, 0.6, 0.008), (0.03, 0.035), border_share=0.004)
 """Masks of the background model: with some of the shadow beneath the vehicle."""
 
 

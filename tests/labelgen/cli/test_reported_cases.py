@@ -239,7 +239,8 @@ def test_the_other_reported_cases(labelgen: Any, cases: Path, tmp_path: Path) ->
     assert refused.returncode == 2
     assert "366 masks made for frames of 640x360 px, but the frames are 320x180" in refused.stderr
     scaled = labelgen("bcs-masks", "--rule", "wider", base, "--masks",
-                      f"coco:{cases}/polygons_of_another_size/masks.json", "--every", 5, "--scale-masks", "--out", "q")  # fmt: skip
+                      f"coco:{cases}/polygons_of_another_size/masks.json",
+        "--every", 5, "--scale-masks", "--out", "q")  # fmt: skip
     assert scaled.returncode == 0
     assert 44 <= len(ShardDataset(tmp_path / "q").table("labels/cc")) <= 48
     assert labelgen("bcs-masks", "--rule", "wider", base, *masks, "--every", 5, "--out", "right").returncode == 0
