@@ -15,7 +15,8 @@ import typer
 from labelgen.atomic_files import write_json
 from labelgen.choices import Pair, Rule, parse_size
 from labelgen.cli.printing import say
-from labelgen.errors import NoVehiclesError, OutputError
+from labelgen.errors import LabelgenError, NoVehiclesError, OutputError
+from labelgen.json_file import parse_json
 
 if TYPE_CHECKING:
     from labelgen.masks.mask_options import MaskOptions
@@ -183,6 +184,21 @@ def print_table(rows: list[tuple[str, Any]]) -> None:
         say(f"  {name:<{width}}  {value}")
 
 
+_LARGEST_REPORT = 16_000_000
+_OTHER_CONTENT = {"camera_calibration", "annotations", "cars", "info", "categories"}
+
+
+def _is_report(path: Path) -> bool:
+    """Return whether a file may be a report of an earlier run: a JSON object that is no input of any command."""
+    try:
+        if not path.is_file() or path.stat().st_size > _LARGEST_REPORT:
+            return False
+        data = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, LabelgenError, RecursionError):
+        return False
+    return isinstance(data, dict) and not _OTHER_CONTENT & data.keys()
+
+
 def check_report_path(path: Path | None, *others: Path | None) -> None:
     """Refuse a --json that could not be written after all the work, or that is another output's file."""
     if path is None:
@@ -191,6 +207,8 @@ def check_report_path(path: Path | None, *others: Path | None) -> None:
         raise OutputError(f"--json {path}: it is a folder; name a file")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise OutputError(f"--json {path}: its folder is missing or cannot be written; choose another file")
+    if path.exists() and not _is_report(path):
+        raise OutputError(f"--json {path}: it exists and is no report of labelgen; choose another file")
     if any(other is not None and other.resolve() == path.resolve() for other in others):
         raise OutputError(f"--json {path}: it is the output itself; choose another file")
 

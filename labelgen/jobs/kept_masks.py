@@ -26,6 +26,8 @@ __all__ = ["KEPT_MASKS", "KEPT_PARTS", "KeptMasks", "kept_masks_name"]
 
 KEPT_MASKS, KEPT_PARTS = "shard*.masks.json", "shard*.masks.jsonl"
 """Patterns of the files: of a whole video, and of one part while the job runs."""
+_END = "frames"
+"""Key of a part's last line, which says how many frames it has."""
 
 
 def kept_masks_name(prefix: str) -> str:
@@ -47,7 +49,7 @@ class KeptMasks:
 
     def __init__(self, folder: Path, prefix: str, source: str) -> None:
         self._folder, self._prefix, self._source = folder, prefix, source
-        self._part = -1
+        self._part, self._count = -1, 0
         self._file: IO[str] | None = None
 
     def __enter__(self) -> KeptMasks:
@@ -65,10 +67,11 @@ class KeptMasks:
         with as_output_error(self._path(part)):
             if part != self._part:
                 self._complete_part()
-                self._part = part
+                self._part, self._count = part, 0
                 self._file = self._temporary().open("w", encoding="utf-8")
             assert self._file is not None
             self._file.write(json.dumps(_entry(frame, masks, self._source), separators=(",", ":")) + "\n")
+            self._count += 1
 
     def finish(self) -> Path:
         """Join all parts and return the file."""
@@ -93,14 +96,24 @@ class KeptMasks:
             os.replace(temporary, path)
         return path
 
+    def complete_parts(self) -> int:
+        """Return how many of the first parts are whole on disk: a damaged one must be made again."""
+        count = 0
+        while _is_whole(self._path(count)):
+            count += 1
+        return count
+
     def _entries(self) -> Iterator[dict[str, Any]]:
         for path in sorted(self._folder.glob(f"{self._prefix}-?????.masks.jsonl")):
             with path.open(encoding="utf-8") as file:
                 for line in file:
-                    yield json.loads(line)
+                    entry = json.loads(line)
+                    if _END not in entry:
+                        yield entry
 
     def _complete_part(self) -> None:
         if self._file is not None:
+            self._file.write(json.dumps({_END: self._count}) + "\n")
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
@@ -112,6 +125,17 @@ class KeptMasks:
 
     def _temporary(self) -> Path:
         return self._folder / f"{TEMPORARY_PREFIX}{self._prefix}.masks.tmp"
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether a part's file ends as it should, and holds as many frames as its end says."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            entries = [json.loads(line) for line in file]
+        *frames, end = entries
+        return end == {_END: len(frames)} and all(isinstance(f, dict) and "image" in f for f in frames)
+    except (OSError, ValueError, RecursionError):
+        return False
 
 
 def _write_items(file: IO[str], items: Iterator[dict[str, Any]]) -> None:

@@ -370,6 +370,8 @@ class VideoUnit:
         scene = self.files.open()
         frames, rectification, source = scene.frames, self.rectification(scene), self.mask_source(scene)
         finished = len(self._finished_shards(out))
+        if self.keep_masks:
+            finished = min(finished, KeptMasks(out, self.prefix, self.files.name).complete_parts())
         prime_masks(source, frames)
         first = finished * self._part_frames  # the frames before are in finished shards
         if self.size is not None:

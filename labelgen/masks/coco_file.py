@@ -20,6 +20,7 @@ from labelgen.errors import DataError, NoVehiclesError
 from labelgen.json_file import read_json
 from labelgen.labels import VehicleClass
 from labelgen.masks.class_names import CLASS_BY_COCO_ID, CLASS_WORDS, normal_name, vehicle_class
+from labelgen.printable import printable
 from labelgen.problem_counts import ProblemCounts, count_of
 
 __all__ = ["Annotation", "CocoFile", "ImageEntry", "whole_number"]
@@ -166,7 +167,14 @@ class CocoFile:
                 )
             )
             for key in keys:
-                self._entry_of.setdefault(key, number)
+                first = self._entry_of.setdefault(key, number)
+                if first != number and self.entries[first].name != name:
+                    raise DataError(
+                        f"{self.path}: the image id {printable(str(key))} stands for two images, "
+                        f"{printable(self.entries[first].name)} and {printable(name)}, so that nothing says which one "
+                        "its masks belong to; give each image an id of its own, or one file for each video",
+                        parameter="masks",
+                    )
             path = PurePosixPath(name)
             for text in (name, path.name, path.stem):
                 names.setdefault(text, number)

@@ -58,6 +58,11 @@ class BodyFit:
         starts = np.searchsorted(self.hypothesis, np.arange(len(self.vehicle)))
         return np.asarray(np.add.reduceat(values, starts, axis=0))
 
+    def max_rows(self, values: Array) -> Array:
+        """Return the largest of values (R,) of each hypothesis's sightings, (P,)."""
+        starts = np.searchsorted(self.hypothesis, np.arange(len(self.vehicle)))
+        return np.asarray(np.maximum.reduceat(values, starts))
+
     @property
     def size_lwh(self) -> Array:
         """(P, 3) length, width, height, metres."""

@@ -49,7 +49,9 @@ def expected_path(fit: BodyFit, times_s: Array, settings: BodyFitSettings) -> tu
     if (count < _FEWEST).all():
         return expected, precision
     time = times_s[fit.outline] - (fit.sum_rows(times_s[fit.outline]) / count)[rows]
-    sd = np.asarray(settings.path_sd_m)
+    # A straight line holds for a short time: vehicles brake, and change lanes.
+    half = fit.max_rows(np.abs(time))[rows]
+    sd = np.asarray(settings.path_sd_m) + half[:, None] ** 2 / 2 * np.asarray(settings.path_acceleration_ms2)
     weight = np.ones(len(rows))
     for _ in range(_ROUNDS):
         total = fit.sum_rows(weight)
@@ -63,5 +65,5 @@ def expected_path(fit: BodyFit, times_s: Array, settings: BodyFitSettings) -> tu
         weight = 1 / (1 + strayed / settings.path_robust**2)
     enough = count[rows] >= _FEWEST
     expected[enough, :2] = line[enough]
-    precision[enough, :2] = 1 / sd**2
+    precision[enough, :2] = 1 / sd[enough] ** 2
     return expected, precision

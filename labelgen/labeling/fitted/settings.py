@@ -81,6 +81,8 @@ class BodyFitSettings:
     """Standard deviation of a vehicle's direction around VP1's, radians."""
     path_sd_m: tuple[float, float] = (0.5, 0.12)
     """Standard deviations of a sighting's place from the vehicle's steady path, along and across the road, metres."""
+    path_acceleration_ms2: tuple[float, float] = (1.5, 0.3)
+    """Accelerations along and across the road for which the path leaves room, m/s^2."""
     path_robust: float = 1.5
     """Distance from the path, in standard deviations, at which a sighting has half its weight in it."""
     shadow_power: int = 12

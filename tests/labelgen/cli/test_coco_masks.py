@@ -242,3 +242,29 @@ def test_a_calibration_of_another_shape_is_refused(labelgen, clip: Path, tmp_pat
     done = labelgen(command, clip, "--calibration", "c.json", *mask, "--out", "out.png")
     assert done.returncode == 2
     assert "principal point (320, 240) is far from the middle (320, 180)" in done.stderr
+
+
+def test_an_image_id_of_two_images_is_refused(labelgen, tmp_path: Path) -> None:
+    """Two exports joined, whose ids begin anew: nothing says which video an annotation belongs to."""
+    clip = write_clip(tmp_path, 12)
+    data = json.loads((tmp_path / "masks.json").read_text())
+    data["images"] += [{**image, "file_name": f"other/{n:06d}.jpg"} for n, image in enumerate(data["images"])]
+    (tmp_path / "joined.json").write_text(json.dumps(data))
+    done = labelgen("bcs-masks", clip, "--masks", "coco:joined.json", "--every", 5, "--out", "out")
+    assert done.returncode == 2
+    assert "stands for two images" in done.stderr
+    assert "id of its own" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("victim", ["clip.mp4", "masks.json", "clip.calibration.json"])
+def test_a_report_replaces_nothing_but_a_report(labelgen, tmp_path: Path, victim: str) -> None:
+    clip = write_clip(tmp_path, 12)
+    before = (tmp_path / victim).read_bytes()
+    command = ("bcs-masks", clip, "--masks", f"coco:{tmp_path / 'masks.json'}", "--every", 5, "--out", "out")
+    done = labelgen(*command, "--json", tmp_path / victim)
+    assert done.returncode == 2
+    assert "is no report of labelgen" in done.stderr
+    assert (tmp_path / victim).read_bytes() == before
+    for overwrite in ((), ("--overwrite",)):
+        assert labelgen(*command, *overwrite, "--json", "report.json").returncode == 0

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from clips import write_clip
 from pycocotools import mask as coco_mask
 
@@ -89,3 +90,24 @@ def test_nothing_half_written_stays(tmp_path: Path) -> None:
         kept.add(3, frame, InstanceMasks.empty((9, 9)))
         images = json.loads(kept.finish().read_text())["images"]
     assert [image["id"] for image in images] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("damage", ["cut", "missing", "empty", "not JSON"])
+def test_a_damaged_part_of_kept_masks_is_made_again(tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    frame = np.zeros((8, 8, 3), np.uint8)
+    masks = InstanceMasks.empty((8, 8))
+    with KeptMasks(folder, "shard", "clip") as kept:
+        for number in range(6):
+            kept.add(number // 2, Frame(number, number / 10, frame), masks)
+        assert KeptMasks(folder, "shard", "clip").complete_parts() == 2
+        kept.finish()
+    assert KeptMasks(folder, "shard", "clip").complete_parts() == 3
+    assert len(json.loads((folder / "shard.masks.json").read_text())["images"]) == 6
+    part = folder / "shard-00001.masks.jsonl"
+    text = part.read_text()
+    part.unlink()
+    if damage != "missing":
+        part.write_text({"cut": text[:40], "empty": "", "not JSON": "[1, 2]\n"}[damage])
+    assert KeptMasks(folder, "shard", "clip").complete_parts() == 1

@@ -16,7 +16,7 @@ from labelgen.geometry.camera import look_at_road
 from labelgen.geometry.homography import Array
 from labelgen.geometry.vehicle_bodies import common_bodies
 from labelgen.labeling import FrameLabels, SeenFrame, label_masks, label_passages
-from labelgen.labeling.fitted.settings import EXACT_MASKS
+from labelgen.labeling.fitted.settings import EXACT_MASKS, NETWORK_MASKS
 from labelgen.labels import Flag, VehicleClass
 from labelgen.masks import InstanceMasks
 
@@ -153,6 +153,25 @@ def test_the_cuboid_goes_on_beyond_the_border() -> None:
     assert labels.has(Flag.TRUNCATED).all()
     height = exact.boxes_xyxy[0, 3] - exact.boxes_xyxy[0, 1]
     assert abs(labels.boxes_xyxy[0, 3] - exact.boxes_xyxy[0, 3]) < 0.15 * height
+
+
+@pytest.mark.parametrize("step_s", [0.25, 1.0])
+def test_labels_stay_on_vehicles_that_brake(step_s: float) -> None:
+    # From 15 m/s down to 3 m/s: the path of the whole passage is no straight line in time.
+    rectification, size = _rectification(Pair.VP2_VP3), _size("saloon")
+    points = BODIES["saloon"] - [(BODIES["saloon"][:, 0].min() + BODIES["saloon"][:, 0].max()) / 2, 0, 0]
+    frames, exact = [], []
+    for k in range(int(5 / step_s) + 1):
+        time_s = step_s * k
+        near = np.array([32.0 + 15.0 * time_s - 1.2 * time_s**2, 1.0])
+        place = np.array([near[0] + size[0] / 2, near[1], 0])
+        frames.append(SeenFrame(k, time_s, _mask(CAMERA.project(points + place))))
+        cuboid = CAMERA.project(road_cuboids(near[None], size[None]))
+        exact.append(encode_boxes(rectification.points(cuboid), rectification.vpu).boxes_xyxy)
+    given = label_passages(frames, rectification, CAMERA, ROAD.pixels, NETWORK_MASKS)
+    found = [iou_matrix(g.labels.boxes_xyxy, box)[0, 0] for g, box in zip(given, exact, strict=True) if len(g.labels)]
+    assert len(found) >= len(frames) - 1
+    assert min(found) > 0.85
 
 
 def test_classes_follow_the_source_or_the_fit() -> None:
