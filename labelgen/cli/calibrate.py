@@ -76,8 +76,8 @@ def calibrate(
     out = out or video.absolute().parent / f"{video.name if video.is_dir() else video.stem}.calibration.json"
     notes_beside(out)
     check_report_path(json_file, out)
-    check_new_file("--out", out, overwrite)
-    check_new_file("--picture", picture, overwrite)
+    check_new_file("--out", out, overwrite, [video])
+    check_new_file("--picture", picture, overwrite, [video, out])
     if picture is not None:
         picture_suffix("--picture", picture)
     principal_point = _point(pp)

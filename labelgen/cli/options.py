@@ -213,8 +213,10 @@ def check_report_path(path: Path | None, *others: Path | None) -> None:
         raise OutputError(f"--json {path}: it is the output itself; choose another file")
 
 
-def check_new_file(option: str, path: Path | None, overwrite: bool) -> None:
-    """Refuse a file to write that is a folder, or that is there already without --overwrite."""
+def check_new_file(option: str, path: Path | None, overwrite: bool, inputs: Sequence[Path | None] = ()) -> None:
+    """Refuse a file to write that is a folder, an input, or that is there already without --overwrite."""
+    if path is not None and any(other is not None and other.resolve() == path.resolve() for other in inputs):
+        raise OutputError(f"{option} {path}: it is an input itself; choose another name")
     if path is not None and path.is_dir():
         raise OutputError(f"{option} {path}: it is a folder; name a file")
     if path is not None and path.exists() and not overwrite:

@@ -67,7 +67,7 @@ def rectify(
     check_report_path(json_file, out)
     size_wh = rectified_size(size, pair, load_manifest("brnocompspeed"))
     picture_suffix("--out", out)
-    check_new_file("--out", out, overwrite)
+    check_new_file("--out", out, overwrite, [source, calibration, road_mask])
     scene = find_scene(
         source,
         calibration=calibration,

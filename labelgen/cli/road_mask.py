@@ -57,7 +57,7 @@ def road_mask(
     check_report_path(json_file, out)
     if out.suffix.lower() != ".png":
         raise OutputError(f"--out {out}: name a .png file")
-    check_new_file("--out", out, overwrite)
+    check_new_file("--out", out, overwrite, [video, calibration])
     frames = open_frames(video, fps=fps, stream=stream, deinterlace=deinterlace)
     with staged_file(out, overwrite=overwrite) as staged:
         with frame_notes(frames):

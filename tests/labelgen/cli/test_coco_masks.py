@@ -268,3 +268,16 @@ def test_a_report_replaces_nothing_but_a_report(labelgen, tmp_path: Path, victim
     assert (tmp_path / victim).read_bytes() == before
     for overwrite in ((), ("--overwrite",)):
         assert labelgen(*command, *overwrite, "--json", "report.json").returncode == 0
+
+
+@pytest.mark.parametrize("command", ["calibrate", "rectify"])
+def test_no_input_is_replaced_even_with_overwrite(labelgen, tmp_path: Path, command: str) -> None:
+    clip = write_clip(tmp_path, 4)
+    picture = tmp_path / "clip.png"
+    picture.write_bytes((tmp_path / "clip.mask.png").read_bytes())
+    victim = clip if command == "calibrate" else picture
+    before = victim.read_bytes()
+    done = labelgen(command, victim, "--out", victim, "--overwrite")
+    assert done.returncode == 2
+    assert "it is an input itself" in done.stderr
+    assert victim.read_bytes() == before
