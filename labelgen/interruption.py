@@ -23,18 +23,25 @@ def signal_of(err: BaseException | None) -> int:
 
 
 @contextlib.contextmanager
-def terminate_as_interrupt() -> Iterator[None]:
-    """Raise `Terminated` in the main thread when SIGTERM comes, where nobody else handles it."""
+def terminate_as_interrupt() -> Iterator[Callable[[], bool]]:
+    """Raise `Terminated` in the main thread when SIGTERM comes, where nobody else handles it.
+
+    Yields:
+        A function that returns whether it came: others may make something else of the exception.
+    """
+    came = False
 
     def raise_terminated(number: int, frame: object) -> None:
+        nonlocal came
+        came = True
         raise Terminated
 
     if not _is_main_thread() or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
+        yield lambda: False
         return
     signal.signal(signal.SIGTERM, raise_terminated)
     try:
-        yield
+        yield lambda: came
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 

@@ -10,7 +10,7 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -207,11 +207,11 @@ def root(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Exit codes: 0 done, 2 something to mend, 130 interrupted, 143 terminated."""
-    with notes_on_screen(), terminate_as_interrupt():
-        sys.exit(_run(list(sys.argv[1:] if arguments is None else arguments)))
+    with notes_on_screen(), terminate_as_interrupt() as terminated:
+        sys.exit(_run(list(sys.argv[1:] if arguments is None else arguments), terminated))
 
 
-def _run(arguments: list[str]) -> int:
+def _run(arguments: list[str], terminated: Callable[[], bool]) -> int:
     try:
         with counted_foreign_messages():
             code = app(args=arguments, prog_name="labelgen", standalone_mode=False)
@@ -239,6 +239,8 @@ def _run(arguments: list[str]) -> int:
             typer.echo(message() or (context.get_help() if context is not None else ""), err=True)
             return 2
         _fail(f"{text.rstrip('.')}{hint}")
+    if code == 128 + signal.SIGINT:  # what Typer makes of either signal, before a command begins
+        return _interrupted(EndedBySignalError(int(signal.SIGTERM if terminated() else signal.SIGINT)))
     return code if isinstance(code, int) else 0
 
 
