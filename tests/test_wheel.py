@@ -33,7 +33,14 @@ def test_the_wheel_holds_the_packages_and_their_data(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     packages = {name.split("/")[0] for name in names if ".dist-info" not in name}
     assert packages == {"labelgen", "detector", "data_manifests"}
-    assert {"labelgen/py.typed", "labelgen/geometry/common_bodies.json", "data_manifests/demo.toml"} <= set(names)
+    files = [path for name in packages for path in (REPOSITORY / name).rglob("*") if path.is_file()]
+    data = {
+        path.relative_to(REPOSITORY).as_posix()
+        for path in files
+        if path.suffix != ".py" and path.parent.name != "__pycache__"
+    }
+    assert {"labelgen/py.typed", "labelgen/geometry/body_forms.npz", "data_manifests/demo.toml"} <= data
+    assert data <= set(names)
 
 
 @pytest.mark.slow
