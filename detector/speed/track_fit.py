@@ -40,8 +40,6 @@ class TrackFitRules:
     Args:
         max_sightings: sightings, spread evenly over the track, that size and form are found from. More cost time.
         max_places: sightings that get a place of their own; those between have it by interpolation.
-        moved_m: metres; a shorter track does not tell the direction of travel.
-        max_cost: half the robust sum of squares of a sighting from which on no body explains the outline.
         min_sd_m: metres; no place is known better.
         body: settings of the fit; places are left free there, as a straight path would take away changes of speed.
         path: settings of the steady path that is laid through the places afterwards.
@@ -49,8 +47,6 @@ class TrackFitRules:
 
     max_sightings: int = 40
     max_places: int = 400
-    moved_m: float = 2.0
-    max_cost: float = 40.0
     min_sd_m: float = 0.03
     body: BodyFitSettings = _BODY
     path: SmoothingRules = field(default_factory=SmoothingRules)
@@ -84,7 +80,7 @@ class TrackFitter:
         outlines = measure_outlines(points.outlines_px, camera, self._view.frame_wh, rules.body, margin_px=margin_px)
         moved = camera.road_points(outlines.bottoms_px[[0, -1]], invalid="nan")[:, 0]
         travelled = float(moved[1] - moved[0])
-        sign = int(np.sign(travelled)) if abs(travelled) >= rules.moved_m else None
+        sign = int(np.sign(travelled)) if abs(travelled) >= rules.body.moved_m else None
         chosen = np.zeros(len(times), dtype=np.bool_)
         chosen[_spread(len(times), rules.max_sightings)] = True
         bodies = fit_bodies(
@@ -92,11 +88,11 @@ class TrackFitter:
             signs=[sign], classes=[possible_classes(points.class_ids)], settings=rules.body, forms=self._forms,
             fitted=None if chosen.all() else chosen,
         )  # fmt: skip
-        near = bodies.place - np.stack([bodies.size_lwh[:, 0] / 2, np.zeros(len(times))], axis=1)
+        near = bodies.near_xy
         size = np.asarray(self._view.frame_wh)
         edges = camera.project(road_cuboids(near, bodies.size_lwh)[:, 4:6])
         # Where the border cuts off the contact with the road, the place rests on the upper end of the vehicle alone.
-        keep = bodies.found & (bodies.cost <= rules.max_cost) & ((edges > 0) & (edges < size)).all(axis=(1, 2))
+        keep = bodies.found & (bodies.cost <= rules.body.max_cost) & ((edges > 0) & (edges < size)).all(axis=(1, 2))
         rows = np.flatnonzero(keep)
         fitted = points.take(rows)
         if not len(rows):

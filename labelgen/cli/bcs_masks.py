@@ -120,9 +120,10 @@ def bcs_masks(
     from labelgen.datasets.manifest import load_manifest
     from labelgen.datasets.scene import find_scene
     from labelgen.errors import LabelgenError
+    from labelgen.jobs.mask_settings import MaskSettings
     from labelgen.jobs.runner import run_job
     from labelgen.jobs.staging import check_output
-    from labelgen.jobs.video import MaskSettings, video_job
+    from labelgen.jobs.video import video_job
     from labelgen.labeling.from_masks import LabelLimits
     from labelgen.shards.image_codec import ImageCodec
 

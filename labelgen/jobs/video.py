@@ -14,26 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from labelgen.before_torch import check_device, check_torch_file
 from labelgen.choices import Pair, Region, Rule
 from labelgen.datasets.fingerprint import fingerprint
 from labelgen.datasets.scene import Scene, SceneFiles
-from labelgen.errors import CalibrationError, LabelgenError, NoVehiclesError
-from labelgen.geometry.camera import Camera
+from labelgen.errors import LabelgenError, NoVehiclesError
 from labelgen.geometry.rectification import Rectification
 from labelgen.jobs.frame_labels import FrameLabeler, LabelledFrame, PassageLabeler, SingleFrameLabeler
 from labelgen.jobs.kept_masks import KeptMasks
+from labelgen.jobs.mask_settings import MaskSettings, with_rule
 from labelgen.jobs.runner import Job, Progress, finished_part
-from labelgen.labeling.screening import LABEL_LIMITS, LabelLimits
 from labelgen.labels import Sample
 from labelgen.masks import (
-    MASK_OPTIONS,
     Clip,
-    MaskKind,
-    MaskOptions,
     MaskSource,
     check_masks,
-    check_masks_file,
     create_mask_source,
     labelled_frames,
     parse_masks,
@@ -43,10 +37,9 @@ from labelgen.media.frame_choice import FrameChoice
 from labelgen.media.frames import Frame
 from labelgen.shards import Reject, ShardReader, ShardWriter
 from labelgen.shards.image_codec import ImageCodec
-from labelgen.shards.index import file_hash
 from labelgen.shards.rejects import INPUT_PROBLEM
 
-__all__ = ["MaskSettings", "VideoUnit", "video_job"]
+__all__ = ["VideoUnit", "video_job"]
 
 _log = logging.getLogger(__name__)
 
@@ -55,59 +48,6 @@ _FRAMES_AHEAD = 4
 _OVERLAP_S = 10.0
 """Time before and after a shard whose masks its labels may rest on, seconds: longer than most passages."""
 _USUAL_FPS = 25.0
-
-
-@dataclass(frozen=True)
-class MaskSettings:
-    """The mask source of a job, and how masks become labels.
-
-    Args:
-        masks: name of a mask source, see `labelgen.masks.parse_masks`.
-        weights: state dict for Mask R-CNN; None for the COCO weights.
-        score: least score of a mask, in [0, 1].
-        rule: how masks become labels; None for `Rule.FITTED`, and `Rule.WIDER` where a camera has no scale.
-        limits: thresholds for labels.
-        device: torch device; None for the GPU where there is one.
-        options: of the mask source, where it takes any.
-    """
-
-    masks: str = "maskrcnn"
-    weights: Path | None = None
-    score: float = 0.5
-    rule: Rule | None = None
-    limits: LabelLimits = LABEL_LIMITS
-    device: str | None = None
-    options: MaskOptions = MASK_OPTIONS
-
-    def __post_init__(self) -> None:
-        check_masks_file(self.masks)
-        check_device(self.device)
-        if self.weights is not None:
-            check_torch_file(self.weights, f"weights {self.weights}", parameter="weights")
-
-    @property
-    def is_made_before(self) -> bool:
-        """Whether the masks, or the detections that gate them, come from a file."""
-        return parse_masks(self.masks).kind is MaskKind.COCO
-
-    def describe(self) -> dict[str, Any]:
-        """Return the settings as entries of the shards' settings."""
-        name = parse_masks(self.masks)
-        return {
-            "masks": name.label,
-            "masks_sha256": _digest(name.file) if name.file else None,
-            "weights_sha256": _digest(self.weights) if self.weights else None,
-            "score": self.score,
-            "rule": str(self.rule),
-            "min_height_px": self.limits.min_height_px,
-            **({str(name.kind): described} if (described := self.options.describe()) else {}),
-        }
-
-
-def _digest(path: Path) -> str | None:
-    if not path.is_file():
-        return None  # the mask source raises the error
-    return file_hash(path)
 
 
 def video_job(
@@ -145,7 +85,7 @@ def video_job(
         LabelgenError: an input is given twice, or a calibration, road mask or mask source is not usable.
     """
     codec = codec or ImageCodec()
-    settings = _with_rule(settings, scenes, region)
+    settings = with_rule(settings, scenes, region)
     common = {"kind": "masks", "region": str(region), **settings.describe(), "every": every, **codec.describe()}
     # Only where they are given, so that other shards stay as they are.
     if keyframes:
@@ -205,27 +145,6 @@ def _check_keyframes(source: MaskSource, masks: str) -> None:
             f"keyframes: masks {masks} learn from all frames, so these must be decoded in any case; leave it out",
             parameter="keyframes",
         )
-
-
-def _with_rule(settings: MaskSettings, scenes: Sequence[SceneFiles], region: Region) -> MaskSettings:
-    """Return the settings with a rule that goes with all cameras.
-
-    Raises:
-        CalibrationError: the fitted rule is wanted, and a camera has no scale.
-    """
-    if settings.rule not in (None, Rule.FITTED) or region is Region.NONE:
-        return settings if settings.rule else replace(settings, rule=Rule.WIDER)
-    lacking = [files.name for files in scenes if Camera.load(files.calibration_path).scale is None]
-    if not lacking:
-        return replace(settings, rule=Rule.FITTED)
-    if settings.rule is Rule.FITTED:
-        raise CalibrationError(
-            f"{lacking[0]}: its calibration has no scale, which the rule fitted needs; choose another rule, or add "
-            "'scale' to the calibration",
-            parameter="rule",
-        )
-    _log.info("%s: its calibration has no scale: labels by the rule wider, without bodies", lacking[0])
-    return replace(settings, rule=Rule.WIDER)
 
 
 def _no_masks(source: MaskSource) -> NoVehiclesError | None:

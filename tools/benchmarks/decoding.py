@@ -28,8 +28,9 @@ import numpy as np
 
 from labelgen.datasets.scene import Scene, SceneFiles, find_scene
 from labelgen.geometry import Camera, Pair, road_cuboids
+from labelgen.jobs.mask_settings import MaskSettings
 from labelgen.jobs.runner import Job
-from labelgen.jobs.video import MaskSettings, VideoUnit, video_job
+from labelgen.jobs.video import VideoUnit, video_job
 
 __all__ = ["main", "memory", "speed", "write_video"]
 

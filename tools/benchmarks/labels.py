@@ -31,7 +31,8 @@ from labelgen.datasets.manifest import load_manifest
 from labelgen.datasets.scene import Scene, find_scene
 from labelgen.geometry import Camera, Pair, road_cuboids
 from labelgen.jobs.boxcars import boxcars_job
-from labelgen.jobs.video import MaskSettings, VideoUnit, video_job
+from labelgen.jobs.mask_settings import MaskSettings
+from labelgen.jobs.video import VideoUnit, video_job
 from labelgen.masks import InstanceMasks, MaskSource
 
 __all__ = ["compare", "main"]

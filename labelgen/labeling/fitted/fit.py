@@ -52,6 +52,11 @@ class FittedBodies:
     cost: Array
     found: NDArray[np.bool_]
 
+    @property
+    def near_xy(self) -> Array:
+        """(R, 2) metres on the road, middle of the near bottom edge: the contact point."""
+        return self.place - np.stack([self.size_lwh[:, 0] / 2, np.zeros(len(self.place))], axis=1)
+
     @classmethod
     def scattered(cls, parts: Sequence[tuple[NDArray[np.int64], FittedBodies]], count: int) -> FittedBodies:
         """Return the bodies of `count` outlines from those of parts of them, each with its outlines' numbers."""

@@ -136,7 +136,7 @@ def start_fit(
     outline = order[np.repeat(first, count) + within]
     shared = np.zeros((len(vehicle), SHARED))
     shared[:, :3] = np.array([form.log_size for form in forms.forms])[family]
-    shared[:, 3 + MODES :] = [0.0, 0.0, errors.shadow[0]]
+    shared[:, -1] = errors.shadow[0]
     shared[:, 3 + MODES] = np.array([form.mirror_m[0] for form in forms.forms])[family]
     place = camera.road_points(outlines.bottoms_px[outline], invalid="nan")
     place[:, 0] += np.exp(shared[hypothesis, 0]) / 2

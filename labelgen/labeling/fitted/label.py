@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -42,15 +42,11 @@ __all__ = ["SeenFrame", "label_passages"]
 BoolArray = NDArray[np.bool_]
 _AT_ONCE = 200
 """Sightings fitted at once: more take more memory, fewer more time."""
-_MOVED_M = 2.0
-"""A passage that is shorter does not tell the direction of travel, metres."""
 _LANE_M = 1.5
 """Half the width of the strip of road in which all vehicles drive in one direction, metres."""
 _FEWEST_IN_LANE = 3
 _MAX_STRAIN = 5.0
 """Size of a vehicle, in standard deviations from its family's mean, from which on the mask shows something else."""
-_MAX_COST = 40.0
-"""Half the robust sum of squares of a sighting from which on no body explains the mask."""
 _OCCLUDED = 0.15
 """Share of a vehicle that is missing in its mask from which on it is flagged: forms are known to some hundredths."""
 
@@ -195,14 +191,14 @@ def _sightings(seen: _Candidates, times: Array, camera: Camera) -> Sightings:
 def _fit(
     seen: _Candidates, vehicles: IntArray, times: Array, camera: Camera, errors: MaskErrors, settings: BodyFitSettings
 ) -> FittedBodies:
-    """Fit all passages, those first whose direction of travel is known: single sightings take it from their lane."""
+    """Fit all passages. Those that do not tell their direction of travel take it from their lane."""
     count = int(vehicles.max()) + 1
     places = camera.road_points(seen.outlines.bottoms_px, invalid="nan")
     first, last = np.full(count, -1), np.full(count, -1)
     last[vehicles] = np.arange(len(vehicles))
     first[vehicles[::-1]] = np.arange(len(vehicles))[::-1]
     moved = places[last, 0] - places[first, 0]
-    known = np.abs(moved) >= _MOVED_M
+    known = np.abs(moved) >= settings.moved_m
     signs: list[int | None] = [int(np.sign(m)) if k else None for m, k in zip(moved, known, strict=True)]
     for v in np.flatnonzero(~known).tolist():
         lane = known & (np.abs(places[first, 1] - places[first[v], 1]) < _LANE_M)
@@ -235,22 +231,18 @@ def _batches(counts: IntArray) -> Iterator[IntArray]:
 # -- labels -------------------------------------------------------------------------------------------------
 
 
-def _encoded(
-    place: Array, size_lwh: Array, camera: Camera, rectification: Rectification
-) -> tuple[Array, Array, Array, BoolArray]:
-    """Return contact points, frame px (N, 2), 2D boxes, c_c and validity of bodies that follow the road."""
-    near = place - np.stack([size_lwh[:, 0] / 2, np.zeros(len(place))], axis=1)
+def _encoded(bodies: FittedBodies, camera: Camera, rectification: Rectification) -> tuple[Array, Array, BoolArray]:
+    """Return 2D boxes, c_c and validity of bodies that follow the road."""
     with np.errstate(invalid="ignore"):
-        vertices = rectification.points(camera.project(road_cuboids(near, size_lwh)))
+        vertices = rectification.points(camera.project(road_cuboids(bodies.near_xy, bodies.size_lwh)))
         encoded = encode_boxes(vertices, rectification.vpu)
-    return camera.project(near), encoded.boxes_xyxy, encoded.cc, np.asarray(np.isfinite(vertices).all(axis=(1, 2)))
+    return encoded.boxes_xyxy, encoded.cc, np.asarray(np.isfinite(vertices).all(axis=(1, 2)))
 
 
 def _sigmas(bodies: FittedBodies, camera: Camera, rectification: Rectification, scale: float) -> Array:
     """Return standard deviations (N, 5) of boxes and c_c, by linear propagation of the fit's covariance."""
     step = 0.01
-    centre = np.concatenate(_encoded(bodies.place, bodies.size_lwh, camera, rectification)[1:2], axis=1)
-    cc = _encoded(bodies.place, bodies.size_lwh, camera, rectification)[2]
+    boxes, cc, _ = _encoded(bodies, camera, rectification)
     slopes = []
     for k in range(5):
         place, size = bodies.place.copy(), bodies.size_lwh.copy()
@@ -258,8 +250,8 @@ def _sigmas(bodies: FittedBodies, camera: Camera, rectification: Rectification, 
             place[:, k] += step
         else:
             size[:, k - 2] *= np.exp(step)
-        _, boxes, moved_cc, _ = _encoded(place, size, camera, rectification)
-        slopes.append(np.concatenate([boxes - centre, (moved_cc - cc)[:, None]], axis=1) / step)
+        moved_boxes, moved_cc, _ = _encoded(replace(bodies, place=place, size_lwh=size), camera, rectification)
+        slopes.append(np.concatenate([moved_boxes - boxes, (moved_cc - cc)[:, None]], axis=1) / step)
     jacobian = np.stack(slopes, axis=-1)
     kept = [0, 1, 3, 4, 5]
     covariance = bodies.covariance[:, kept][:, :, kept]
@@ -272,7 +264,7 @@ def _hidden(seen: _Candidates, bodies: FittedBodies, frame_wh: tuple[int, int], 
     wide, high = frame_wh
     frame = np.array([[0, 0], [wide, 0], [wide, high], [0, high]], dtype=np.float32)
     out = np.zeros(len(seen.mask))
-    expected, measured = (support_polygons(reach, settings) for reach in (bodies.reach_px, seen.outlines.reach_px))
+    expected, measured = (_support_polygons(reach, settings) for reach in (bodies.reach_px, seen.outlines.reach_px))
     for k in np.flatnonzero(bodies.found).tolist():
         area, inside = cv2.intersectConvexConvex(cv2.convexHull(expected[k]), frame)
         if area > 0:
@@ -281,7 +273,7 @@ def _hidden(seen: _Candidates, bodies: FittedBodies, frame_wh: tuple[int, int], 
     return out.clip(0, 1)
 
 
-def support_polygons(reach_px: Array, settings: BodyFitSettings) -> NDArray[np.float32]:
+def _support_polygons(reach_px: Array, settings: BodyFitSettings) -> NDArray[np.float32]:
     """Return the corners (N, M, 2) of the polygons whose sides are given by their reach (N, M) in M directions."""
     directions = settings.direction_vectors
     turn = 2 * np.pi / settings.directions
@@ -303,7 +295,8 @@ def _labels(
     settings: BodyFitSettings,
     rejections: Sequence[Rejections],
 ) -> list[FrameLabels]:
-    contact, boxes, cc, valid = _encoded(bodies.place, bodies.size_lwh, camera, rectification)
+    contact = camera.project(bodies.near_xy)
+    boxes, cc, valid = _encoded(bodies, camera, rectification)
     # Shards store float32, so the label is what can be decoded from float32.
     boxes = boxes.astype(np.float32).astype(np.float64)
     cc = np.clip(cc, 0, 1).astype(np.float32).astype(np.float64)
@@ -312,7 +305,7 @@ def _labels(
     with np.errstate(invalid="ignore"):
         plausible = ((sizes >= limits.min_size_lwh_m) & (sizes <= limits.max_size_lwh_m)).all(axis=1)
         plausible &= bodies.strain <= _MAX_STRAIN
-        explained = bodies.cost <= _MAX_COST
+        explained = bodies.cost <= settings.max_cost
     cut = truncated(np.nan_to_num(boxes), rectification.size_wh, limits.border_px) | seen.cut
     hidden = _hidden(seen, bodies, (road.shape[1], road.shape[0]), settings)
     hidden = np.where(seen.cut, np.nan, hidden)

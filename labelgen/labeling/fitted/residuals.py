@@ -60,7 +60,7 @@ def compare(
     own = np.stack([ahead, left, normals[..., 2]], axis=-1)
     reach, points, modes = forms.support(fit.family[p], own * size[:, None], shared[:, 3 : 3 + MODES])
     points *= size[:, None]
-    by_size, by_mirror = own * points, np.zeros_like(reach)
+    by_size = own * points
     mirror, mirror_points = _mirrors(fit, forms, size, own)
     farther = mirror > reach
     reach = np.where(farther, mirror, reach)
@@ -68,7 +68,7 @@ def compare(
     protruding = mirror_points[..., 1] - np.sign(left) * size[:, None, 1] / 2
     by_size = np.where(farther[..., None], own * np.stack(
         [mirror_points[..., 0], mirror_points[..., 1] - protruding, mirror_points[..., 2]], -1), by_size)  # fmt: skip
-    by_mirror = np.where(farther, np.abs(left), by_mirror)
+    by_mirror = np.where(farther, np.abs(left), 0.0)
     modes = np.where(farther[..., None], 0.0, modes)
 
     from_camera = np.concatenate([fit.place, np.full((len(p), 1), -camera.height_m)], axis=1)

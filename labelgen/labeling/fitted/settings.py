@@ -99,6 +99,10 @@ class BodyFitSettings:
     """Steps of sightings that are laid to a body that others gave."""
     margin: float = 6.0
     """Hypotheses that cost so much more than the best after the first steps are dropped."""
+    moved_m: float = 2.0
+    """A passage that is shorter does not tell the direction of travel, metres."""
+    max_cost: float = 40.0
+    """Half the robust sum of squares of a sighting from which on no body explains the outline."""
     sigma_scale: float = 1.15
     """Factor of the stated standard deviations, by which they hold what they state on real cars' shapes."""
     max_log_step: float = 0.2

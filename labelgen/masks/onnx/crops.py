@@ -12,14 +12,14 @@ from labelgen.masks.instances import Crop, crop_mask
 from labelgen.masks.onnx.candidates import Candidates
 from labelgen.masks.onnx.placement import Placement
 
-__all__ = ["MASK_SETTINGS", "MaskSettings", "candidate_crops", "drop_doubles"]
+__all__ = ["CROP_SETTINGS", "CropSettings", "candidate_crops", "drop_doubles"]
 
 # Masks computed at once: bounds the memory.
 _CHUNK = 16
 
 
 @dataclass(frozen=True)
-class MaskSettings:
+class CropSettings:
     """How masks are cut."""
 
     margin_px: float = 2.0
@@ -34,14 +34,14 @@ class MaskSettings:
     """A mask that lies inside another to a greater share is of the same vehicle."""
 
 
-MASK_SETTINGS = MaskSettings()
+CROP_SETTINGS = CropSettings()
 
 
 def candidate_crops(
     candidates: Candidates,
     chosen: NDArray[np.int64],
     placement: Placement,
-    settings: MaskSettings = MASK_SETTINGS,
+    settings: CropSettings = CROP_SETTINGS,
 ) -> list[Crop | None]:
     """Return the masks of chosen candidates in the frame; None for those without a pixel.
 
@@ -66,7 +66,7 @@ def _crop(
     spanned: NDArray[np.float64],
     box: NDArray[np.float64],
     placement: Placement,
-    settings: MaskSettings,
+    settings: CropSettings,
 ) -> Crop | None:
     """Return one mask in the frame.
 
@@ -136,7 +136,7 @@ def _drop_far_parts(mask: NDArray[np.bool_], max_gap: float) -> NDArray[np.bool_
     return np.asarray(near[labels])
 
 
-def drop_doubles(crops: list[Crop], settings: MaskSettings = MASK_SETTINGS) -> list[int]:
+def drop_doubles(crops: list[Crop], settings: CropSettings = CROP_SETTINGS) -> list[int]:
     """Return which masks remain when each vehicle is to have one.
 
     Of masks that cover the same pixels the first remains. Of a mask inside another one, the larger remains, as networks

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from labelgen.masks import create_mask_source
-from labelgen.masks.onnx.crops import MASK_SETTINGS
+from labelgen.masks.onnx.crops import CROP_SETTINGS
 from labelgen.masks.onnx.network_classes import class_table
 from labelgen.masks.onnx.session import NetworkSession
 from labelgen.media.open_frames import open_frames
@@ -49,7 +49,7 @@ def by_hand(session: Any, image: np.ndarray) -> list[tuple[float, np.ndarray, np
         logits = torch.from_numpy(np.tensordot(rows[i, -32:], prototypes[0], 1)[None, None])
         inside = torch.nn.functional.interpolate(logits, (SIDE, SIDE), mode="bilinear")[..., top : top + high, :]
         full = torch.nn.functional.interpolate(inside[..., left : left + wide], (height, width), mode="bilinear")
-        margin = max(MASK_SETTINGS.margin_px, MASK_SETTINGS.margin_share * max(rows[i, 2:4]))
+        margin = max(CROP_SETTINGS.margin_px, CROP_SETTINGS.margin_share * max(rows[i, 2:4]))
         box = (boxes[i] - [left, top, left, top]) / scale
         x0, y0, x1, y1 = box + np.array([-1, -1, 1, 1]) * margin / scale
         x, y = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
